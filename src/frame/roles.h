@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Blender's names for passes, of every version, and what they mean. The only place that knows them. */
+#ifndef QL_FRAME_ROLES_H
+#define QL_FRAME_ROLES_H
+
+#include <stdint.h>
+
+/* The kernels that filter a layer; layers of one group share them. */
+enum {
+    QL_GROUP_NONE = -1, /* never filtered by default */
+    QL_GROUP_BEAUTY = 0, /* Combined, emission, environment, ambient occlusion, shadow catcher, light groups */
+    QL_GROUP_DIFFUSE = 1,
+    QL_GROUP_GLOSSY = 2,
+    QL_GROUP_TRANSMISSION = 3,
+    QL_GROUP_VOLUME = 4,
+    QL_GROUP_COLOR = 5, /* diffuse, glossy and transmission colour: narrow kernels */
+    QL_NUM_GROUPS = 6
+};
+
+int32_t ql_role_from_pass(const char *pass); /* "DiffDir", "Diffuse Direct", "Combined_key", ...: QUELL_ROLE_* */
+const char *ql_role_name(int32_t role);
+int32_t ql_role_group(int32_t role);
+int32_t ql_role_color(int32_t role); /* role of the colour pass a light pass is divided by; QUELL_ROLE_OTHER: none */
+
+/* Splits "LAYER.PASS.VIEW.C" or "LAYER.PASS.C" from the right. multi_view: NULL-terminated list of view names, or NULL.
+ * Each out points into full_name's copy in buffer (at least strlen + 1 bytes). has_channel: whether the last part is a
+ * channel letter. Returns 0, or -1 when the name has no recognised channel letter. */
+int ql_split_channel_name(const char *full_name, const char *const *multi_view, char *buffer, const char **view_layer,
+                          const char **pass, const char **view, char *channel);
+
+#endif

@@ -1,0 +1,20 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* A network's weights and shape, immutable once opened. */
+#ifndef QL_MODELS_MODEL_H
+#define QL_MODELS_MODEL_H
+
+#include "base/memory.h"
+#include "base/status.h"
+
+#include <stddef.h>
+
+typedef struct ql_model ql_model;
+
+quell_status ql_model_open(const char *name_or_path, ql_model **out, ql_error *err);
+quell_status ql_model_open_memory(const void *data, size_t size_bytes, const char *origin, ql_model **out,
+                                  ql_error *err);
+void ql_model_destroy(ql_model *model);
+void ql_model_get_info(const ql_model *model, quell_model_info *info); /* fills a full-size struct */
+const char *ql_model_builtin_name(uint32_t index);
+
+#endif
