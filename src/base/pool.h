@@ -31,7 +31,8 @@ typedef struct ql_env {
     quell_progress_fn progress;
     void *progress_user;
     double progress_from, progress_to; /* the part of the bar that belongs to the present step */
-    double progress_last;
+    double progress_last;              /* the last fraction that the callback saw, of the whole bar */
+    double progress_time;              /* when it saw it; 0: not yet */
     quell_log_fn log;
     void *log_user;
 } ql_env;

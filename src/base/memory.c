@@ -1,0 +1,101 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Aligned, counted allocation. Each block has one alignment unit in front of it that holds its size, so that ql_free
+ * needs no size and the count cannot drift. */
+#include "base/memory.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#define HEADER_BYTES QL_ALIGNMENT
+
+typedef struct block_header {
+    uint64_t total_bytes; /* what was asked from the system, header included */
+} block_header;
+
+_Static_assert(sizeof(block_header) <= HEADER_BYTES, "the header must fit before the aligned block");
+
+static int is_made_to_fail(ql_memory *memory)
+{
+    int_fast64_t left = atomic_load_explicit(&memory->fail_at, memory_order_relaxed);
+    while (left > 0) {
+        if (atomic_compare_exchange_weak(&memory->fail_at, &left, left - 1)) return left == 1;
+    }
+    return 0;
+}
+
+/* Counts first and gives back on refusal, so that two threads cannot pass the limit together. */
+static int reserve(ql_memory *memory, uint64_t bytes)
+{
+    const uint64_t used = (uint64_t)atomic_fetch_add(&memory->used_bytes, bytes) + bytes;
+    if (memory->limit_bytes && used > memory->limit_bytes) {
+        atomic_fetch_sub(&memory->used_bytes, bytes);
+        return -1;
+    }
+    uint_fast64_t peak = atomic_load(&memory->peak_bytes);
+    while (used > peak && !atomic_compare_exchange_weak(&memory->peak_bytes, &peak, used)) {
+    }
+    return 0;
+}
+
+int ql_mul_size(size_t a, size_t b, size_t *out)
+{
+    if (b != 0 && a > SIZE_MAX / b) return -1;
+    *out = a * b;
+    return 0;
+}
+
+int ql_add_size(size_t a, size_t b, size_t *out)
+{
+    if (a > SIZE_MAX - b) return -1;
+    *out = a + b;
+    return 0;
+}
+
+void ql_memory_init(ql_memory *memory, uint64_t limit_bytes)
+{
+    atomic_init(&memory->used_bytes, 0);
+    atomic_init(&memory->peak_bytes, 0);
+    atomic_init(&memory->fail_at, 0);
+    memory->limit_bytes = limit_bytes;
+}
+
+void *ql_alloc(ql_memory *memory, size_t num, size_t size_bytes)
+{
+    size_t bytes, total;
+    if (ql_mul_size(num, size_bytes, &bytes) != 0) return NULL;
+    if (ql_add_size(bytes, HEADER_BYTES + QL_ALIGNMENT - 1, &total) != 0) return NULL;
+    total -= total % QL_ALIGNMENT; /* aligned_alloc wants a multiple */
+
+    if (is_made_to_fail(memory) || reserve(memory, total) != 0) return NULL;
+    uint8_t *base = aligned_alloc(QL_ALIGNMENT, total);
+    if (!base) {
+        atomic_fetch_sub(&memory->used_bytes, (uint64_t)total);
+        return NULL;
+    }
+    *(block_header *)(void *)base = (block_header){.total_bytes = total};
+    return base + HEADER_BYTES;
+}
+
+void *ql_alloc_zero(ql_memory *memory, size_t num, size_t size_bytes)
+{
+    void *pointer = ql_alloc(memory, num, size_bytes);
+    if (pointer) memset(pointer, 0, num * size_bytes); /* the product was checked by ql_alloc */
+    return pointer;
+}
+
+void ql_free(ql_memory *memory, void *pointer)
+{
+    if (!pointer) return;
+    uint8_t *base = (uint8_t *)pointer - HEADER_BYTES;
+    atomic_fetch_sub(&memory->used_bytes, ((const block_header *)(const void *)base)->total_bytes);
+    free(base);
+}
+
+char *ql_strdup(ql_memory *memory, const char *text)
+{
+    if (!text) return NULL;
+    const size_t bytes = strlen(text) + 1;
+    char *copy = ql_alloc(memory, bytes, 1);
+    if (copy) memcpy(copy, text, bytes);
+    return copy;
+}
