@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random crops of packed frames, augmented, as batches of input and independent target.
+
+Deterministic: batch i of seed s is the same whatever was drawn before, so a resumed run sees what an uninterrupted one
+would have seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from training.data.pack import INPUT, NUM_INPUT, NUM_TARGET, TARGET, PackedFrame, to_target
+from training.features import Features, Guides, Layers, limit_fireflies, log_exponent, make_features
+
+
+@dataclass(frozen=True)
+class CropConfig:
+    crop: int = 128
+    batch: int = 8
+    light_fraction: float = 0.6  # of batches that have light passes; the others train Combined alone
+    drop_guide: float = 0.1  # of batches, for each guide
+    hide_spp: float = 0.2
+    spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 1.0), (4, 2.0), (8, 1.0), (16, 1.0), (32, 0.5))
+    max_gain_stops: float = 1.5  # of one pass group against another
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Batch:
+    features: Features
+    layers: Layers
+    target: Layers  # light holds light x colour here
+    spp: Tensor
+
+
+def choose_input(frame: PackedFrame, rng: np.random.Generator, config: CropConfig) -> tuple[list[int], int]:
+    """Indices of the renders averaged to the input, and its spp: the two of 1 spp make 2."""
+    wanted = [(s, w) for s, w in config.spp_weights if s in frame.spp or (s == 2 and frame.spp.count(1) == 2)]
+    weights = np.array([w for _, w in wanted])
+    spp = wanted[rng.choice(len(wanted), p=weights / weights.sum())][0]
+    ones = [i for i, s in enumerate(frame.spp) if s == 1]
+    if spp == 2 and (2 not in frame.spp or (len(ones) == 2 and rng.random() < 0.5)):
+        return ones, 2
+    return [int(rng.choice([i for i, s in enumerate(frame.spp) if s == spp]))], spp
+
+
+def combine_inputs(parts: list[np.ndarray]) -> np.ndarray:
+    """Averages renders as Cycles would have: light passes through their products."""
+    if len(parts) == 1:
+        return parts[0]
+    mean = sum(parts) / len(parts)
+    color = mean[INPUT["color"]]
+    product = sum(to_target(p)[TARGET["product"]] for p in parts) / len(parts)
+    light = product.copy()
+    light[:9] = np.where(color > 1e-6, product[:9] / np.maximum(color, 1e-6), 0)
+    mean[INPUT["light"]] = light
+    return mean
+
+
+def crop_frame(frame: PackedFrame, rng: np.random.Generator, config: CropConfig) -> tuple[np.ndarray, np.ndarray, int]:
+    """One input [35,n,n] and its independent target [27,n,n]."""
+    chosen, spp = choose_input(frame, rng, config)
+    height, width = frame.sums.shape[1:]
+    y = int(rng.integers(0, height - config.crop + 1))
+    x = int(rng.integers(0, width - config.crop + 1))
+    window = (slice(None), slice(y, y + config.crop), slice(x, x + config.crop))
+    parts = [frame.inputs[i][window].astype(np.float32) for i in chosen]
+    used = sum(to_target(p) * frame.spp[i] for p, i in zip(parts, chosen, strict=True))
+    target = (frame.sums[window] - used) / (frame.total_spp - spp)
+    return combine_inputs(parts), target, spp
+
+
+def turn(array: np.ndarray, flip_x: bool, flip_y: bool, transpose: bool) -> np.ndarray:
+    if flip_x:
+        array = array[:, :, ::-1]
+    if flip_y:
+        array = array[:, ::-1]
+    return array.transpose(0, 2, 1) if transpose else array
+
+
+def turn_normal(normal: np.ndarray, flip_x: bool, flip_y: bool, transpose: bool) -> np.ndarray:
+    """Camera-space normals of a turned picture: x right, y up, while rows go down."""
+    nx, ny, nz = normal
+    nx = -nx if flip_x else nx
+    ny = -ny if flip_y else ny
+    if transpose:
+        nx, ny = -ny, -nx
+    return np.stack([nx, ny, nz])
+
+
+RGB_INPUT = ("beauty", "light", "color", "emission", "albedo")
+RGB_TARGET = ("beauty", "product", "color", "emission")
+
+
+def augment(
+    inputs: np.ndarray, target: np.ndarray, closes: bool, rng: np.random.Generator, config: CropConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Turns, permutes colours, scales exposure and, where the passes sum to Combined, re-weights light by group."""
+    flips = tuple(bool(b) for b in rng.integers(0, 2, 3))
+    inputs, target = turn(inputs, *flips).copy(), turn(target, *flips).copy()
+    inputs[INPUT["normal"]] = turn_normal(inputs[INPUT["normal"]], *flips)
+    order = rng.permutation(3)
+    for array, table, names in ((inputs, INPUT, RGB_INPUT), (target, TARGET, RGB_TARGET)):
+        for name in names:
+            part = array[table[name]]
+            array[table[name]] = part.reshape(-1, 3, *part.shape[1:])[:, order].reshape(part.shape)
+    exposure = np.float32(2.0 ** rng.uniform(-1, 1))
+    tint = 2.0 ** rng.normal(0, 0.2, 3)
+    gains = np.ones(5)
+    if closes and rng.random() < 0.5:
+        gains = 2.0 ** rng.uniform(-config.max_gain_stops, config.max_gain_stops, 5)
+    factors = (exposure * gains[:, None] * tint[None]).astype(np.float32)  # [diffuse..volume, emission][rgb]
+    if closes:
+        light = inputs[INPUT["light"]] * factors[:4].reshape(12, 1, 1)
+        inputs[INPUT["light"]] = light
+        inputs[INPUT["emission"]] *= factors[4].reshape(3, 1, 1)
+        target[TARGET["product"]] *= factors[:4].reshape(12, 1, 1)
+        target[TARGET["emission"]] *= factors[4].reshape(3, 1, 1)
+        for array, table in ((to_target(inputs), TARGET), (target, TARGET)):
+            total = array[table["product"]].reshape(4, 3, *array.shape[1:]).sum(0) + array[table["emission"]]
+            (inputs[INPUT["beauty"]] if array is not target else target[TARGET["beauty"]])[:] = total
+    else:
+        factor = (exposure * tint).astype(np.float32).reshape(3, 1, 1)
+        inputs[INPUT["beauty"]] *= factor
+        target[TARGET["beauty"]] *= factor
+    return inputs, target
+
+
+def to_layers(x: Tensor, has_light: bool) -> Layers:
+    """INPUT's channels [n,35,h,w]."""
+    if not has_light:
+        return Layers(x[:, INPUT["beauty"]])
+    return Layers(
+        x[:, INPUT["beauty"]],
+        x[:, INPUT["light"]].unflatten(1, (4, 3)),
+        x[:, INPUT["color"]].unflatten(1, (3, 3)),
+        x[:, INPUT["emission"]],
+    )
+
+
+def to_guides(x: Tensor) -> Guides:
+    return Guides(x[:, INPUT["albedo"]], x[:, INPUT["normal"]], x[:, INPUT["depth"]], x[:, INPUT["alpha"]])
+
+
+def target_layers(t: Tensor) -> Layers:
+    return Layers(
+        t[:, TARGET["beauty"]],
+        t[:, TARGET["product"]].unflatten(1, (4, 3)),
+        t[:, TARGET["color"]].unflatten(1, (3, 3)),
+        t[:, TARGET["emission"]],
+    )
+
+
+def limit_layers(layers: Layers) -> Layers:
+    """Fireflies are limited layer by layer before anything else sees them."""
+    if layers.light is None:
+        return Layers(limit_fireflies(layers.beauty))
+    emitter = layers.emission.mean(1, keepdim=True)
+    light = torch.stack([limit_fireflies(layers.light[:, i]) for i in range(4)], 1)
+    return Layers(limit_fireflies(layers.beauty, emitter), light, layers.color, layers.emission)
+
+
+def depth_exponent(depth: Tensor) -> int:
+    return log_exponent(depth)
+
+
+def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:
+    """Batch `index`: all its crops either have light passes or have none."""
+    rng = np.random.default_rng([config.seed, index])
+    has_light = rng.random() < config.light_fraction
+    closing = [f for f in frames if f.closes]
+    pool = closing if has_light and closing else frames
+    inputs = np.empty((config.batch, NUM_INPUT, config.crop, config.crop), np.float32)
+    target = np.empty((config.batch, NUM_TARGET, config.crop, config.crop), np.float32)
+    spp = np.empty(config.batch, np.float32)
+    for i in range(config.batch):
+        frame = pool[int(rng.integers(len(pool)))]
+        x, t, spp[i] = crop_frame(frame, rng, config)
+        inputs[i], target[i] = augment(x, t, frame.closes, rng, config)
+    x, t = torch.from_numpy(inputs), torch.from_numpy(target)
+    layers = limit_layers(to_layers(x, bool(has_light)))
+    guides = to_guides(x)
+    drop = rng.random(3) < config.drop_guide
+    guides = Guides(
+        None if drop[0] else guides.albedo,
+        None if drop[1] else guides.normal,
+        None if drop[2] else guides.depth,
+        guides.alpha,
+    )
+    known = torch.from_numpy(spp) * float(rng.random() >= config.hide_spp)
+    jitter = torch.from_numpy(rng.integers(-1, 2, config.batch).astype(np.float32))
+    exposure = torch.tensor([log_exponent(b) for b in layers.beauty], dtype=torch.float32) + jitter
+    depth = torch.tensor([depth_exponent(d) for d in x[:, INPUT["depth"]]], dtype=torch.float32)
+    features = make_features(layers, guides, known, exposure, depth)
+    return Batch(features, layers, target_layers(t), torch.from_numpy(spp))
+
+
+def batches(frames: list[PackedFrame], first: int, config: CropConfig) -> Iterator[Batch]:
+    index = first
+    while True:
+        yield make_batch(frames, index, config)
+        index += 1

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stored renders to what training reads: one memory-mapped array per frame, so that a random crop costs no decoding.
+
+    inputs.npy  [renders, 35, h, w] float16: each render of up to MAX_INPUT_SPP samples, in INPUT's channel order
+    sums.npy    [27, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
+    pack.json   spp of each input, total spp, whether the passes sum to Combined
+
+Light passes are ratios of pixel means, so averages are taken of light x colour, which is linear in the samples. A target
+independent of input i is then (sums - spp_i * input_i) / (total - spp_i).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from training.data.store import BACKGROUND_DEPTH, CorruptRenderError, FrameRecord, list_frames, pass_slice, read_render
+from training.paths import data_root
+
+MAX_INPUT_SPP = 32
+CLOSURE_TOLERANCE = 5e-3  # half floats of 20 summed passes round to about 1e-3
+
+INPUT = {
+    "beauty": slice(0, 3),
+    "alpha": slice(3, 4),
+    "light": slice(4, 16),  # diffuse, glossy, transmission (direct + indirect), volume
+    "color": slice(16, 25),
+    "emission": slice(25, 28),
+    "albedo": slice(28, 31),
+    "normal": slice(31, 34),
+    "depth": slice(34, 35),
+}
+NUM_INPUT = 35
+TARGET = {
+    "beauty": slice(0, 3),
+    "product": slice(3, 15),  # light x colour of diffuse, glossy, transmission; volume
+    "color": slice(15, 24),
+    "emission": slice(24, 27),
+}
+NUM_TARGET = 27
+
+
+@dataclass(frozen=True)
+class PackedFrame:
+    """One frame ready for crops; the arrays are memory-mapped and read-only."""
+
+    name: str
+    family: str
+    inputs: np.ndarray
+    sums: np.ndarray
+    spp: list[int]
+    total_spp: int
+    closes: bool
+
+
+def select_passes(render: np.ndarray, with_environment: bool) -> np.ndarray:
+    """One stored render [C,h,w] to INPUT's channels, float32."""
+    x = render.astype(np.float32)
+
+    def get(name: str) -> np.ndarray:
+        return x[pass_slice(name)]
+
+    light = [get(f"{p}Dir") + get(f"{p}Ind") for p in ("Diff", "Gloss", "Trans", "Volume")]
+    color = [get(f"{p}Col") for p in ("Diff", "Gloss", "Trans")]
+    emission = get("Emit") + (get("Env") if with_environment else 0)
+    depth = get("Denoising Depth")
+    depth = np.where((depth > 0) & (depth < BACKGROUND_DEPTH), depth, 0)
+    combined = get("Combined")
+    parts = [combined, *light, *color, emission, get("Denoising Albedo"), get("Denoising Normal"), depth]
+    return np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=65504.0, neginf=0.0)
+
+
+def to_target(inputs: np.ndarray) -> np.ndarray:
+    """INPUT's channels [35,h,w] to TARGET's [27,h,w]: light times colour."""
+    product = inputs[INPUT["light"]].copy()
+    product[:9] *= inputs[INPUT["color"]]
+    return np.concatenate([inputs[INPUT["beauty"]], product, inputs[INPUT["color"]], inputs[INPUT["emission"]]])
+
+
+def closure_error(target: np.ndarray) -> float:
+    """Mean difference of the passes' sum and Combined, relative to Combined's mean."""
+    total = target[TARGET["product"]].reshape(4, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
+    beauty = target[TARGET["beauty"]]
+    return float(np.abs(total - beauty).mean() / max(beauty.mean(), 1e-6))
+
+
+def pack_frame(record: FrameRecord, folder: Path) -> None:
+    """Writes one frame's pack; the folder appears whole or not at all."""
+    renders = sorted(((int(key.split("_")[0]), path) for key, path in record.renders.items() if key[0].isdigit()))
+    decoded = [(spp, read_render(path)) for spp, path in renders]
+    if sum(spp for spp, _ in decoded) < 16:
+        raise CorruptRenderError(f"{record.folder}: fewer than 16 samples in all")
+    best = decoded[-1][1]
+    errors = {env: closure_error(to_target(select_passes(best, env))) for env in (True, False)}
+    with_environment = errors[True] <= errors[False]
+    inputs, sums, total = [], np.zeros((NUM_TARGET, *best.shape[1:]), np.float32), 0
+    for spp, render in decoded:
+        half = select_passes(render, with_environment).clip(-65504, 65504).astype(np.float16)
+        sums += spp * to_target(half.astype(np.float32))
+        total += spp
+        if spp <= MAX_INPUT_SPP:
+            inputs.append((spp, half))
+    temporary = folder.with_suffix(".tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    np.save(temporary / "inputs.npy", np.stack([half for _, half in inputs]))
+    np.save(temporary / "sums.npy", sums)
+    info = {
+        "family": record.family,
+        "spp": [spp for spp, _ in inputs],
+        "total_spp": total,
+        "closes": errors[with_environment] < CLOSURE_TOLERANCE,
+        "closure_error": errors[with_environment],
+        "renders": sorted(record.renders),
+    }
+    (temporary / "pack.json").write_text(json.dumps(info))
+    shutil.rmtree(folder, ignore_errors=True)
+    temporary.rename(folder)
+
+
+def pack_root(root: Path | None = None) -> Path:
+    return (root or data_root()) / "packed"
+
+
+def pack_new(split: str, min_renders: int, root: Path | None = None) -> int:
+    """Packs every frame of a split that has min_renders renders and is not packed as it stands. Returns how many."""
+    root = root or data_root()
+    done = 0
+    for record in list_frames(root, split):
+        if len(record.renders) < min_renders:
+            continue
+        folder = pack_root(root) / split / f"{record.family}-{record.name}"
+        info = folder / "pack.json"
+        if info.exists() and json.loads(info.read_text())["renders"] == sorted(record.renders):
+            continue
+        try:
+            pack_frame(record, folder)
+            done += 1
+        except CorruptRenderError as error:
+            print(f"skipped: {error}", flush=True)
+    return done
+
+
+def load_packs(split: str, root: Path | None = None) -> list[PackedFrame]:
+    """All packed frames of a split, in a fixed order."""
+    frames = []
+    for info_path in sorted((pack_root(root) / split).glob("*/pack.json")):
+        info = json.loads(info_path.read_text())
+        folder = info_path.parent
+        frames.append(
+            PackedFrame(
+                folder.name,
+                info["family"],
+                np.load(folder / "inputs.npy", mmap_mode="r"),
+                np.load(folder / "sums.npy", mmap_mode="r"),
+                info["spp"],
+                info["total_spp"],
+                info["closes"],
+            )
+        )
+    return frames
+
+
+def prefetch(make: Iterator, depth: int = 4) -> Iterator:
+    """Runs an iterator in a thread of its own, a few items ahead."""
+    with ThreadPoolExecutor(1) as executor:
+        pending = [executor.submit(next, make) for _ in range(depth)]
+        while True:
+            yield pending.pop(0).result()
+            pending.append(executor.submit(next, make))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--split", default="train")
+    parser.add_argument("--min-renders", type=int, default=7)
+    args = parser.parse_args()
+    print(f"packed {pack_new(args.split, args.min_renders)} frames; {len(load_packs(args.split))} in all")
+
+
+if __name__ == "__main__":
+    main()

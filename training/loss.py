@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training losses of the quell family."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from training.features import Layers
+from training.models.quell import Denoised
+
+EPSILON = 0.01  # of relMSE (docs: error with two references)
+
+
+def relative_error(image: Tensor, target: Tensor) -> Tensor:
+    """Pseudo-Huber of the relative error: squared while small, so that noise in the target cancels; linear beyond 1, so
+    that one firefly does not decide a step. The denominator takes the estimate in, because the target's own noise in it
+    would pull the result down."""
+    denominator = 0.25 * (image.detach() + target).square() + EPSILON
+    squared = (image - target).square() / denominator
+    return torch.sqrt(1 + squared) - 1
+
+
+def multiscale(image: Tensor, target: Tensor) -> Tensor:
+    """Relative error of pixels and of means over 4x4 and 16x16: the latter hold the residual blotches and the bias."""
+    total = relative_error(image, target).mean()
+    for size in (4, 16):
+        total = total + 0.5 * relative_error(F.avg_pool2d(image, size), F.avg_pool2d(target, size)).mean()
+    return total
+
+
+def tone_l1(image: Tensor, target: Tensor) -> Tensor:
+    """L1 after z / (1 + z): what a viewer sees (eq. 9 of DGAN-KPN)."""
+    return (image / (1 + image.clamp_min(0)) - target / (1 + target.clamp_min(0))).abs().mean()
+
+
+def quell_loss(out: Denoised, target: Layers) -> Tensor:
+    """Combined first, its two makings and the passes second."""
+    total = multiscale(out.combined, target.beauty) + 0.5 * tone_l1(out.combined, target.beauty)
+    if out.light is None:
+        return total
+    total = total + 0.25 * multiscale(out.direct, target.beauty) + 0.25 * multiscale(out.rebuilt, target.beauty)
+    for i in range(4):
+        made = out.light[:, i] * out.color[:, i] if i < 3 else out.light[:, i]
+        total = total + 0.1 * multiscale(made, target.light[:, i])
+    total = total + 0.1 * relative_error(out.color, target.color).mean()
+    return total + 0.05 * multiscale(out.emission, target.emission)
