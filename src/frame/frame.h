@@ -49,12 +49,22 @@ quell_status ql_frame_create(uint32_t width, uint32_t height, ql_frame **out, ql
 void ql_frame_destroy(ql_frame *frame);
 
 /* Appends a layer named as Blender names it; splits full_name into view layer, pass and view and finds its role. The
- * layer has no pixels yet. multi_view: the view names that may stand before the channel letter, NULL-terminated, or
+ * layer has no pixels yet, no channels and no format. A name that is taken is QUELL_ERR_INVALID_ARGUMENT. multi_view: the view names that may stand before the channel letter, NULL-terminated, or
  * NULL. *out is lent until the next append. */
 quell_status ql_frame_append_layer(ql_frame *frame, const char *full_name, const char *const *multi_view,
                                    ql_layer **out, ql_error *err);
 
+/* Gives the layer packed planes of its own ([num_channels][height][width] in its format), whose content is undefined.
+ * num_channels and format must be set. Pixels that it owned before are freed. */
+quell_status ql_layer_alloc_pixels(ql_frame *frame, ql_layer *layer, ql_error *err);
+
+/* Index of the layer of that full name, else of the first with that pass name; -1: none. */
 int64_t ql_frame_find_layer(const ql_frame *frame, const char *name);
+
+size_t ql_format_bytes(int32_t format); /* of one value: 2 or 4 */
+
+/* One row of one channel of a view, as floats. */
+void ql_view_read_row(const ql_view *view, uint32_t width, uint32_t channel, uint32_t y, float *out);
 
 /* One row of one channel as floats, from pixels (not result). */
 void ql_layer_read_row(const ql_layer *layer, uint32_t width, uint32_t channel, uint32_t y, float *out);
@@ -63,7 +73,8 @@ void ql_layer_read_row(const ql_layer *layer, uint32_t width, uint32_t channel, 
 void ql_layer_read_current_row(const ql_layer *layer, uint32_t width, uint32_t height, uint32_t channel, uint32_t y,
                                float *out);
 
-/* Writes one row of one channel into a view, converting to its format (half: clamped to +-65504). */
+/* Writes one row of one channel into a view, converting to its format (half: clamped to +-65504; uint: rounded and
+ * clamped, NaN is 0). */
 void ql_view_write_row(const ql_view *view, uint32_t width, uint32_t channel, uint32_t y, const float *in);
 
 #endif

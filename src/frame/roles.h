@@ -28,4 +28,19 @@ int32_t ql_role_color(int32_t role); /* role of the colour pass a light pass is 
 int ql_split_channel_name(const char *full_name, const char *const *multi_view, char *buffer, const char **view_layer,
                           const char **pass, const char **view, char *channel);
 
+/* The same for a layer's name without channel letter: "LAYER.PASS.VIEW", "LAYER.PASS" or "PASS". buffer may be full_name
+ * itself. Parts that are absent are "". */
+void ql_split_layer_name(const char *full_name, const char *const *multi_view, char *buffer, const char **view_layer,
+                         const char **pass, const char **view);
+
+/* Rank of a channel letter in reading order (R before G, X before Y, U before V, A last of its kind); -1: no letter that
+ * Blender uses. */
+int ql_channel_order(char letter);
+
+/* Letters that a layer of this role has when its maker named none: "RGBA", "XYZ", "Z"; static text. */
+const char *ql_role_channels(int32_t role, uint32_t num_channels);
+
+/* Whether a layer with these letters (in reading order) can be what its name says: Combined must be RGB or RGBA. */
+int ql_role_fits_channels(int32_t role, const char *channels);
+
 #endif
