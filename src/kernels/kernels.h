@@ -1,14 +1,99 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The table of hot loops, filled once for the machine and then constant. */
+/*
+ * The table of hot loops, filled once for the machine and then constant. Kernels know arrays, no frames and no network.
+ *
+ * Each works on one row. The C version is the specification; a SIMD version differs only by the rounding of fused
+ * multiply-adds (docs/NUMERICS.md), and gives each value the same bits wherever it stands in a row, so that tiles do not
+ * show. No kernel reads or writes outside its stated extents. Buffers need no alignment unless said.
+ */
 #ifndef QL_KERNELS_KERNELS_H
 #define QL_KERNELS_KERNELS_H
 
+#include <stddef.h>
 #include <stdint.h>
+
+enum { QL_BLOCK = 16 }; /* output channels come in blocks of this many */
+
+/* A convolution of one row, whatever its size: out[x][c] = act(bias[c] + sum over rows r and k < num_k of
+ * rows[r][x * stride + k] * weights[c / 16][r * num_k + k][c % 16] + add[x][c]).
+ * 3x3: 3 rows, num_k = 3 * channels, stride = channels, rows starting one pixel left of x = 0. 2x2 stride 2: 2 rows,
+ * num_k = stride = 2 * channels. 1x1: 1 row, num_k = stride = channels.
+ * weights, bias and out are aligned to 64 bytes; out is [num_pixels][num_out], num_out a multiple of QL_BLOCK. add has
+ * out's shape, or is NULL; it may be out itself. relu: 0 or 1. */
+typedef struct ql_conv_row {
+    const float *rows[3];
+    const float *weights, *bias, *add;
+    float *out;
+    uint32_t num_rows, num_k, stride, num_pixels, num_out;
+    int32_t relu;
+} ql_conv_row;
+typedef void ql_conv_row_fn(const ql_conv_row *conv);
+
+/* Kernel application, [dgan-kpn] eq. 1 and 2: out[c][x] = sum_k softmax_k(logits)[k][x] * in[c][y + dy][x + dx].
+ * logits: 25 planes, logits_stride floats apart, each num_pixels long. in[c] points at (x, y) of channel c, of which 2
+ * pixels on every side are readable; in_stride: floats between its rows. */
+typedef struct ql_filter_row {
+    const float *logits;
+    size_t logits_stride;
+    const float *const *in; /* [num_channels] */
+    ptrdiff_t in_stride;
+    float *const *out; /* [num_channels] */
+    uint32_t num_channels, num_pixels;
+} ql_filter_row;
+typedef void ql_filter_row_fn(const ql_filter_row *filter);
+
+/* out[c][x] = (1 - a) * out[c][x] + a * sum_k softmax_k(logits)[k][x] * in[c][y/2 + dy][x/2 + dx], a = sigmoid(blend[x]).
+ * logits: 9 planes. in[c] points at the parent of pixel 0 (x is even there), 1 pixel on every side is readable.
+ * num_pixels is even. */
+typedef struct ql_upsample_row {
+    const float *logits;
+    size_t logits_stride;
+    const float *blend;
+    const float *const *in;
+    ptrdiff_t in_stride;
+    float *const *out;
+    uint32_t num_channels, num_pixels;
+} ql_upsample_row;
+typedef void ql_upsample_row_fn(const ql_upsample_row *upsample);
+
+/* out[c][x] = sum over the 2x2 cell of softmax(logits) * in[c]; x < num_cells. logits and in each have two rows. */
+typedef struct ql_partition_row {
+    const float *logits[2];
+    const float *const *in; /* [num_channels], row 0 of the cells */
+    ptrdiff_t in_stride;
+    float *const *out;
+    uint32_t num_channels, num_cells;
+} ql_partition_row;
+typedef void ql_partition_row_fn(const ql_partition_row *partition);
+
+/* out[x] = sigmoid(clamp(logits[x], -12, 12)). in may be out. */
+typedef void ql_sigmoid_row_fn(const float *logits, float *out, uint32_t num_pixels);
+
+/* out[x] = 0.5 * log(1 + 8 * max(0, scale * in[x])): radiance as the network sees it. in may be out. */
+typedef void ql_tone_row_fn(const float *in, float scale, float *out, uint32_t num_pixels);
+
+/* Channels to planes: out[k][x * group + j] = in[x][k * group + j], group 1 or 2, k < num_planes. in_stride: floats
+ * between pixels; out_stride: floats between planes. */
+typedef void ql_planes_row_fn(const float *in, size_t in_stride, uint32_t num_planes, uint32_t group, float *out,
+                              size_t out_stride, uint32_t num_pixels);
 
 typedef struct ql_kernels {
     const char *name; /* "c", "avx2", "avx512", "neon" */
+    ql_conv_row_fn *conv_row;
+    ql_filter_row_fn *filter_row;
+    ql_upsample_row_fn *upsample_row;
+    ql_partition_row_fn *partition_row;
+    ql_sigmoid_row_fn *sigmoid_row;
+    ql_tone_row_fn *tone_row;
+    ql_planes_row_fn *planes_row;
 } ql_kernels;
 
 void ql_kernels_init(ql_kernels *kernels, uint32_t cpu); /* cpu: QL_CPU_* bits that may be used */
+
+/* Each fills its own slots; the table keeps the slower version where an instruction set has none. */
+void ql_kernels_init_c(ql_kernels *kernels);
+void ql_kernels_init_avx2(ql_kernels *kernels);
+void ql_kernels_init_avx512(ql_kernels *kernels);
+void ql_kernels_init_neon(ql_kernels *kernels);
 
 #endif

@@ -1,0 +1,163 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The specification: every kernel as plain loops. Sums run in the order that the vector versions keep. */
+#include "kernels/kernels.h"
+#include "kernels/poly.h"
+
+#include <math.h>
+#include <string.h>
+
+static float exp_poly(float x)
+{
+    x = x < QL_EXP_MIN ? QL_EXP_MIN : x;
+    x = x > QL_EXP_MAX ? QL_EXP_MAX : x;
+    const float n = rintf(x * QL_LOG2E);
+    const float r = (x - n * QL_LN2_HIGH) - n * QL_LN2_LOW;
+    float p = QL_EXP_C7;
+    p = p * r + QL_EXP_C6;
+    p = p * r + QL_EXP_C5;
+    p = p * r + QL_EXP_C4;
+    p = p * r + QL_EXP_C3;
+    p = p * r + QL_EXP_C2;
+    p = p * r + 1.0f;
+    p = p * r + 1.0f;
+    const uint32_t bits = (uint32_t)((int32_t)n + 127) << 23;
+    float scale;
+    memcpy(&scale, &bits, sizeof scale);
+    return p * scale;
+}
+
+static float log_poly(float z) /* z >= 1, finite */
+{
+    uint32_t bits;
+    memcpy(&bits, &z, sizeof bits);
+    float e = (float)((int32_t)(bits >> 23) - 127);
+    bits = (bits & 0x007fffffu) | 0x3f800000u;
+    float m;
+    memcpy(&m, &bits, sizeof m);
+    if (m > QL_SQRT2) {
+        m *= 0.5f;
+        e += 1.0f;
+    }
+    const float s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
+    float p = QL_LOG_C9;
+    p = p * s2 + QL_LOG_C7;
+    p = p * s2 + QL_LOG_C5;
+    p = p * s2 + QL_LOG_C3;
+    p = p * s2 + 2.0f;
+    return e * QL_LN2 + p * s;
+}
+
+static float sigmoid(float x)
+{
+    return 1.0f / (1.0f + exp_poly(-x));
+}
+
+static void conv_row(const ql_conv_row *conv)
+{
+    const size_t num_weights = (size_t)conv->num_rows * conv->num_k;
+    for (size_t x = 0; x < conv->num_pixels; ++x) {
+        for (size_t c = 0; c < conv->num_out; ++c) {
+            const float *w = conv->weights + c / QL_BLOCK * num_weights * QL_BLOCK + c % QL_BLOCK;
+            float sum = conv->bias[c];
+            for (size_t r = 0; r < conv->num_rows; ++r)
+                for (size_t k = 0; k < conv->num_k; ++k, w += QL_BLOCK)
+                    sum += conv->rows[r][x * conv->stride + k] * *w;
+            if (conv->add) sum += conv->add[x * conv->num_out + c];
+            conv->out[x * conv->num_out + c] = conv->relu && sum < 0.0f ? 0.0f : sum;
+        }
+    }
+}
+
+/* Replaces num logits, stride apart, by exp(logit - max) and returns 1 / their sum. */
+static float softmax_one(const float *logits, size_t stride, size_t num, float *weights)
+{
+    float top = logits[0], sum = 0.0f;
+    for (size_t k = 1; k < num; ++k) top = top < logits[k * stride] ? logits[k * stride] : top;
+    for (size_t k = 0; k < num; ++k) {
+        weights[k] = exp_poly(logits[k * stride] - top);
+        sum += weights[k];
+    }
+    return 1.0f / sum;
+}
+
+static void filter_row(const ql_filter_row *filter)
+{
+    for (size_t x = 0; x < filter->num_pixels; ++x) {
+        float weights[25];
+        const float scale = softmax_one(filter->logits + x, filter->logits_stride, 25, weights);
+        for (size_t c = 0; c < filter->num_channels; ++c) {
+            float sum = 0.0f;
+            for (ptrdiff_t k = 0; k < 25; ++k)
+                sum += weights[k] * filter->in[c][(ptrdiff_t)x + (k / 5 - 2) * filter->in_stride + k % 5 - 2];
+            filter->out[c][x] = sum * scale;
+        }
+    }
+}
+
+static void upsample_row(const ql_upsample_row *up)
+{
+    for (size_t x = 0; x < up->num_pixels; ++x) {
+        float weights[9];
+        const float scale = softmax_one(up->logits + x, up->logits_stride, 9, weights);
+        const float a = sigmoid(up->blend[x]);
+        for (size_t c = 0; c < up->num_channels; ++c) {
+            float sum = 0.0f;
+            for (ptrdiff_t k = 0; k < 9; ++k)
+                sum += weights[k] * up->in[c][(ptrdiff_t)(x / 2) + (k / 3 - 1) * up->in_stride + k % 3 - 1];
+            up->out[c][x] = (1.0f - a) * up->out[c][x] + a * (sum * scale);
+        }
+    }
+}
+
+static void partition_row(const ql_partition_row *partition)
+{
+    for (size_t x = 0; x < partition->num_cells; ++x) {
+        const float *const *l = partition->logits;
+        const float logits[4] = {l[0][2 * x], l[0][2 * x + 1], l[1][2 * x], l[1][2 * x + 1]};
+        float weights[4];
+        const float scale = softmax_one(logits, 1, 4, weights);
+        for (size_t c = 0; c < partition->num_channels; ++c) {
+            const float *const in = partition->in[c] + 2 * x, *const below = in + partition->in_stride;
+            const float sum = weights[0] * in[0] + weights[1] * in[1] + weights[2] * below[0] + weights[3] * below[1];
+            partition->out[c][x] = sum * scale;
+        }
+    }
+}
+
+static void sigmoid_row(const float *logits, float *out, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; ++x) {
+        float z = logits[x] < -QL_SIGMOID_RANGE ? -QL_SIGMOID_RANGE : logits[x];
+        z = z > QL_SIGMOID_RANGE ? QL_SIGMOID_RANGE : z;
+        out[x] = sigmoid(z);
+    }
+}
+
+static void tone_row(const float *in, float scale, float *out, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; ++x) {
+        const float z = in[x] * scale;
+        out[x] = 0.5f * log_poly(1.0f + 8.0f * (z > 0.0f ? z : 0.0f));
+    }
+}
+
+static void planes_row(const float *in, size_t in_stride, uint32_t num_planes, uint32_t group, float *out,
+                       size_t out_stride, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; ++x)
+        for (size_t k = 0; k < num_planes; ++k)
+            for (size_t j = 0; j < group; ++j)
+                out[k * out_stride + x * group + j] = in[x * in_stride + k * group + j];
+}
+
+void ql_kernels_init_c(ql_kernels *kernels)
+{
+    kernels->name = "c";
+    kernels->conv_row = conv_row;
+    kernels->filter_row = filter_row;
+    kernels->upsample_row = upsample_row;
+    kernels->partition_row = partition_row;
+    kernels->sigmoid_row = sigmoid_row;
+    kernels->tone_row = tone_row;
+    kernels->planes_row = planes_row;
+}

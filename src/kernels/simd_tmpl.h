@@ -1,0 +1,274 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The bodies of the vector kernels, included once by each instruction set's file after it has defined:
+ *
+ *   vf                     a vector of QL_W floats (4, 8 or 16)
+ *   v_load v_store         unaligned; v_load_n v_store_n (p, n): the first n < QL_W lanes, others read as 0
+ *   v_set1 v_add v_sub v_mul v_div v_min v_max v_round
+ *   v_fma(a, b, c)         a * b + c, fused
+ *   v_pow2(n)              2^n for whole n in [-126, 127]
+ *   v_frexp1(z, &e)        mantissa in [1, 2) and exponent of z >= 1
+ *   v_gt_select(a, b, x, y) a > b ? x : y
+ *   v_twice(p, n)          lanes p[0] p[0] p[1] p[1] ...; reads n / 2 floats for n lanes
+ *   v_deinterleave(p, n, &even, &odd)  p[0] p[2] ..., p[1] p[3] ...; reads 2 n floats for n lanes
+ *   QL_TILE1 .. QL_TILE4   pixels per register tile at 1 to 4 vectors of channels
+ *
+ * A lane's operations do not depend on where it stands, so tails and tiles give the same bits.
+ */
+#include "kernels/kernels.h"
+#include "kernels/poly.h"
+
+static inline vf v_exp(vf x)
+{
+    x = v_min(v_max(x, v_set1(QL_EXP_MIN)), v_set1(QL_EXP_MAX));
+    const vf n = v_round(v_mul(x, v_set1(QL_LOG2E)));
+    vf r = v_fma(n, v_set1(-QL_LN2_HIGH), x);
+    r = v_fma(n, v_set1(-QL_LN2_LOW), r);
+    vf p = v_set1(QL_EXP_C7);
+    p = v_fma(p, r, v_set1(QL_EXP_C6));
+    p = v_fma(p, r, v_set1(QL_EXP_C5));
+    p = v_fma(p, r, v_set1(QL_EXP_C4));
+    p = v_fma(p, r, v_set1(QL_EXP_C3));
+    p = v_fma(p, r, v_set1(QL_EXP_C2));
+    p = v_fma(p, r, v_set1(1.0f));
+    p = v_fma(p, r, v_set1(1.0f));
+    return v_mul(p, v_pow2(n));
+}
+
+static inline vf v_log(vf z) /* z >= 1 */
+{
+    vf e, m = v_frexp1(z, &e);
+    e = v_gt_select(m, v_set1(QL_SQRT2), v_add(e, v_set1(1.0f)), e);
+    m = v_gt_select(m, v_set1(QL_SQRT2), v_mul(m, v_set1(0.5f)), m);
+    const vf s = v_div(v_sub(m, v_set1(1.0f)), v_add(m, v_set1(1.0f))), s2 = v_mul(s, s);
+    vf p = v_set1(QL_LOG_C9);
+    p = v_fma(p, s2, v_set1(QL_LOG_C7));
+    p = v_fma(p, s2, v_set1(QL_LOG_C5));
+    p = v_fma(p, s2, v_set1(QL_LOG_C3));
+    p = v_fma(p, s2, v_set1(2.0f));
+    return v_fma(e, v_set1(QL_LN2), v_mul(p, s));
+}
+
+static inline vf v_sigmoid(vf x)
+{
+    return v_div(v_set1(1.0f), v_add(v_set1(1.0f), v_exp(v_sub(v_set1(0.0f), x))));
+}
+
+static inline vf v_load_some(const float *p, size_t n)
+{
+    return n >= QL_W ? v_load(p) : v_load_n(p, n);
+}
+
+static inline void v_store_some(float *p, vf v, size_t n)
+{
+    if (n >= QL_W)
+        v_store(p, v);
+    else
+        v_store_n(p, v, n);
+}
+
+/* ---- Convolution: P pixels x V vectors of output channels in registers -------------------------------------------- */
+
+#define QL_CONV_TILE(P, V)                                                                                             \
+    static inline __attribute__((always_inline)) void conv_tile_##P##_##V(const ql_conv_row *conv, size_t x, size_t c) \
+    {                                                                                                                  \
+        const size_t num_weights = (size_t)conv->num_rows * conv->num_k;                                               \
+        const float *w[V];                                                                                             \
+        vf acc[P][V];                                                                                                  \
+        _Pragma("GCC unroll 32") for (size_t v = 0; v < V; ++v)                                                        \
+        {                                                                                                              \
+            const size_t channel = c + v * QL_W;                                                                       \
+            w[v] = conv->weights + channel / QL_BLOCK * num_weights * QL_BLOCK + channel % QL_BLOCK;                   \
+            const vf bias = v_load(conv->bias + channel);                                                              \
+            _Pragma("GCC unroll 32") for (size_t p = 0; p < P; ++p) acc[p][v] = bias;                                  \
+        }                                                                                                              \
+        size_t offset = 0;                                                                                             \
+        for (size_t r = 0; r < conv->num_rows; ++r) {                                                                  \
+            const float *in = conv->rows[r] + x * conv->stride;                                                        \
+            for (size_t k = 0; k < conv->num_k; ++k, offset += QL_BLOCK, ++in) {                                       \
+                vf weight[V];                                                                                          \
+                _Pragma("GCC unroll 32") for (size_t v = 0; v < V; ++v) weight[v] = v_load(w[v] + offset);             \
+                _Pragma("GCC unroll 32") for (size_t p = 0; p < P; ++p)                                                \
+                {                                                                                                      \
+                    const vf value = v_set1(in[p * conv->stride]);                                                     \
+                    _Pragma("GCC unroll 32") for (size_t v = 0; v < V; ++v) acc[p][v] =                                \
+                        v_fma(value, weight[v], acc[p][v]);                                                            \
+                }                                                                                                      \
+            }                                                                                                          \
+        }                                                                                                              \
+        _Pragma("GCC unroll 32") for (size_t p = 0; p < P; ++p)                                                        \
+        {                                                                                                              \
+            _Pragma("GCC unroll 32") for (size_t v = 0; v < V; ++v)                                                    \
+            {                                                                                                          \
+                const size_t at = (x + p) * conv->num_out + c + v * QL_W;                                              \
+                vf sum = acc[p][v];                                                                                    \
+                if (conv->add) sum = v_add(sum, v_load(conv->add + at));                                               \
+                if (conv->relu) sum = v_max(sum, v_set1(0.0f));                                                        \
+                v_store(conv->out + at, sum);                                                                          \
+            }                                                                                                          \
+        }                                                                                                              \
+    }                                                                                                                  \
+    static void conv_columns_##V(const ql_conv_row *conv, size_t c)                                                    \
+    {                                                                                                                  \
+        size_t x = 0;                                                                                                  \
+        for (; x + P <= conv->num_pixels; x += P) conv_tile_##P##_##V(conv, x, c);                                     \
+        for (; x < conv->num_pixels; ++x) conv_tile_1_##V(conv, x, c);                                                 \
+    }
+
+/* The single-pixel tiles, made by the same text. */
+#define QL_CONV_SINGLE(V) QL_CONV_SINGLE_(1, V)
+#define QL_CONV_SINGLE_(P, V)                                                                                          \
+    static void conv_tile_##P##_##V(const ql_conv_row *conv, size_t x, size_t c)                                       \
+    {                                                                                                                  \
+        const size_t num_weights = (size_t)conv->num_rows * conv->num_k;                                               \
+        for (size_t v = 0; v < V; ++v) {                                                                               \
+            const size_t channel = c + v * QL_W, at = x * conv->num_out + channel;                                     \
+            const float *w =                                                                                           \
+                conv->weights + channel / QL_BLOCK * num_weights * QL_BLOCK + channel % QL_BLOCK;                      \
+            vf sum = v_load(conv->bias + channel);                                                                     \
+            for (size_t r = 0; r < conv->num_rows; ++r)                                                                \
+                for (size_t k = 0; k < conv->num_k; ++k, w += QL_BLOCK)                                                \
+                    sum = v_fma(v_set1(conv->rows[r][x * conv->stride + k]), v_load(w), sum);                          \
+            if (conv->add) sum = v_add(sum, v_load(conv->add + at));                                                   \
+            if (conv->relu) sum = v_max(sum, v_set1(0.0f));                                                            \
+            v_store(conv->out + at, sum);                                                                              \
+        }                                                                                                              \
+    }
+
+#define QL_CONV(P, V) QL_CONV_TILE(P, V)
+QL_CONV_SINGLE(1)
+QL_CONV_SINGLE(2)
+QL_CONV(QL_TILE1, 1)
+QL_CONV(QL_TILE2, 2)
+#if defined(QL_TILE4)
+QL_CONV_SINGLE(3)
+QL_CONV_SINGLE(4)
+QL_CONV(QL_TILE3, 3)
+QL_CONV(QL_TILE4, 4)
+#endif
+
+static void conv_row(const ql_conv_row *conv)
+{
+    size_t c = 0, left = conv->num_out / QL_W;
+#if defined(QL_TILE4)
+    /* Columns of 3 vectors have the best ratio of multiply-adds to loads that still leaves registers for the weights;
+     * a remainder of 1 is better shared out as 2 + 2. */
+    while (left > 4 || left == 3) {
+        conv_columns_3(conv, c);
+        c += 3 * QL_W;
+        left -= 3;
+    }
+    if (left == 4) {
+        conv_columns_4(conv, c);
+        left = 0;
+    }
+#endif
+    for (; left >= 2; left -= 2, c += 2 * QL_W) conv_columns_2(conv, c);
+    if (left) conv_columns_1(conv, c);
+}
+
+/* ---- Kernels applied ---------------------------------------------------------------------------------------------- */
+
+/* Stores exp(logit - max) of up to 25 planes at x and returns 1 / their sum. */
+static inline vf softmax_at(const float *logits, size_t stride, size_t num, size_t n, vf *weights)
+{
+    vf top = v_load_some(logits, n), sum = v_set1(0.0f);
+    weights[0] = top;
+    for (size_t k = 1; k < num; ++k) {
+        weights[k] = v_load_some(logits + k * stride, n);
+        top = v_max(top, weights[k]);
+    }
+    for (size_t k = 0; k < num; ++k) {
+        weights[k] = v_exp(v_sub(weights[k], top));
+        sum = v_add(sum, weights[k]);
+    }
+    return v_div(v_set1(1.0f), sum);
+}
+
+static void filter_row(const ql_filter_row *filter)
+{
+    for (size_t x = 0; x < filter->num_pixels; x += QL_W) {
+        const size_t n = filter->num_pixels - x;
+        vf weights[25];
+        const vf scale = softmax_at(filter->logits + x, filter->logits_stride, 25, n, weights);
+        for (size_t c = 0; c < filter->num_channels; ++c) {
+            const float *const in = filter->in[c] + x;
+            vf sum = v_set1(0.0f);
+            for (ptrdiff_t k = 0; k < 25; ++k)
+                sum = v_fma(weights[k], v_load_some(in + (k / 5 - 2) * filter->in_stride + k % 5 - 2, n), sum);
+            v_store_some(filter->out[c] + x, v_mul(sum, scale), n);
+        }
+    }
+}
+
+static void upsample_row(const ql_upsample_row *up)
+{
+    for (size_t x = 0; x < up->num_pixels; x += QL_W) {
+        const size_t n = up->num_pixels - x < QL_W ? up->num_pixels - x : QL_W;
+        vf weights[9];
+        const vf scale = softmax_at(up->logits + x, up->logits_stride, 9, n, weights);
+        const vf a = v_sigmoid(v_load_some(up->blend + x, n)), b = v_sub(v_set1(1.0f), a);
+        for (size_t c = 0; c < up->num_channels; ++c) {
+            const float *const in = up->in[c] + x / 2;
+            vf sum = v_set1(0.0f);
+            for (ptrdiff_t k = 0; k < 9; ++k)
+                sum = v_fma(weights[k], v_twice(in + (k / 3 - 1) * up->in_stride + k % 3 - 1, n), sum);
+            const vf old = v_load_some(up->out[c] + x, n);
+            v_store_some(up->out[c] + x, v_fma(b, old, v_mul(a, v_mul(sum, scale))), n);
+        }
+    }
+}
+
+static void partition_row(const ql_partition_row *partition)
+{
+    for (size_t x = 0; x < partition->num_cells; x += QL_W) {
+        const size_t n = partition->num_cells - x < QL_W ? partition->num_cells - x : QL_W;
+        vf l[4], in[4];
+        v_deinterleave(partition->logits[0] + 2 * x, n, &l[0], &l[1]);
+        v_deinterleave(partition->logits[1] + 2 * x, n, &l[2], &l[3]);
+        const vf top = v_max(v_max(v_max(l[0], l[1]), l[2]), l[3]);
+        vf total = v_set1(0.0f);
+        for (size_t k = 0; k < 4; ++k) {
+            l[k] = v_exp(v_sub(l[k], top));
+            total = v_add(total, l[k]);
+        }
+        const vf scale = v_div(v_set1(1.0f), total);
+        for (size_t c = 0; c < partition->num_channels; ++c) {
+            const float *const row = partition->in[c] + 2 * x;
+            v_deinterleave(row, n, &in[0], &in[1]);
+            v_deinterleave(row + partition->in_stride, n, &in[2], &in[3]);
+            vf sum = v_mul(l[0], in[0]);
+            for (size_t k = 1; k < 4; ++k) sum = v_fma(l[k], in[k], sum);
+            v_store_some(partition->out[c] + x, v_mul(sum, scale), n);
+        }
+    }
+}
+
+static void sigmoid_row(const float *logits, float *out, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; x += QL_W) {
+        const size_t n = num_pixels - x;
+        const vf z = v_min(v_max(v_load_some(logits + x, n), v_set1(-QL_SIGMOID_RANGE)), v_set1(QL_SIGMOID_RANGE));
+        v_store_some(out + x, v_sigmoid(z), n);
+    }
+}
+
+static void tone_row(const float *in, float scale, float *out, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; x += QL_W) {
+        const size_t n = num_pixels - x;
+        const vf z = v_max(v_mul(v_load_some(in + x, n), v_set1(scale)), v_set1(0.0f));
+        v_store_some(out + x, v_mul(v_set1(0.5f), v_log(v_fma(v_set1(8.0f), z, v_set1(1.0f)))), n);
+    }
+}
+
+static void fill_table(ql_kernels *kernels, const char *name)
+{
+    kernels->name = name;
+    kernels->conv_row = conv_row;
+    kernels->filter_row = filter_row;
+    kernels->upsample_row = upsample_row;
+    kernels->partition_row = partition_row;
+    kernels->sigmoid_row = sigmoid_row;
+    kernels->tone_row = tone_row;
+}
