@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: Apache-2.0
+# Everything that is built lands under build/: build/<config>/{obj,lib,bin,tests}, build/third_party, build/venv.
+#
+#   make                 the library and the tool, optimised             make V=1      shows commands
+#   make DEBUG=1         the same with -O0 and assertions                make help     lists the targets
+#   make SAN=address,undefined                                           make ARCH=aarch64 build/...: cross build
+#
+# CC CXX CFLAGS CXXFLAGS LDFLAGS PREFIX DESTDIR are respected. Recipes run from this folder: weight files are found
+# relative to it. The Makefile is not recursive; it calls itself only to build another configuration.
+
+MAKEFLAGS += --no-builtin-rules
+.SUFFIXES:
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := all
+
+# ---- Configuration ----------------------------------------------------------------------------------------------------
+
+HOST_ARCH := $(shell uname -m)
+ARCH ?= $(HOST_ARCH)
+ifneq ($(ARCH),$(HOST_ARCH))
+CROSS := $(ARCH)-linux-gnu-
+CONFIG_ARCH := $(ARCH)-
+RUN_TEST := qemu-$(ARCH) -L /usr/$(ARCH)-linux-gnu
+endif
+ifeq ($(origin CC),default)
+CC := $(CROSS)gcc
+endif
+ifeq ($(origin CXX),default)
+CXX := $(CROSS)g++
+endif
+ifeq ($(origin AR),default)
+AR := $(CROSS)ar
+endif
+
+comma := ,
+empty :=
+space := $(empty) $(empty)
+SAN ?=
+ifneq ($(SAN),)
+CONFIG := $(CONFIG_ARCH)san-$(subst $(comma),-,$(SAN))
+OPTIMISE := -O1 -g -fno-omit-frame-pointer -fsanitize=$(SAN) -fno-sanitize-recover=all
+LINK_SAN := -fsanitize=$(SAN)
+else ifeq ($(DEBUG),1)
+CONFIG := $(CONFIG_ARCH)debug
+OPTIMISE := -O0 -g3
+else
+CONFIG := $(CONFIG_ARCH)release
+OPTIMISE := -O3 -g1 -DNDEBUG
+endif
+
+BUILD := build
+OUT := $(BUILD)/$(CONFIG)
+OBJ := $(OUT)/obj
+PREFIX ?= /usr/local
+LIBDIR ?= $(PREFIX)/lib
+INCLUDEDIR ?= $(PREFIX)/include
+BINDIR ?= $(PREFIX)/bin
+
+# The numbers stand in quell.h alone.
+version_part = $(shell sed -n 's/^\#define QUELL_VERSION_$(1) //p' include/quell.h)
+VERSION_MAJOR := $(call version_part,MAJOR)
+VERSION := $(VERSION_MAJOR).$(call version_part,MINOR).$(call version_part,PATCH)
+
+V ?= 0
+ifeq ($(V),1)
+Q :=
+say = @:
+else
+Q := @
+say = @printf '  %-7s %s\n' $(1) $(2)
+endif
+
+# ---- Flags ------------------------------------------------------------------------------------------------------------
+
+WARN := -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wundef -Wvla -Wwrite-strings -Wformat=2
+WARN_C := $(WARN) -Wstrict-prototypes -Wmissing-prototypes
+# Contraction of a * b + c would make results depend on the compiler: kernels ask for it by name where they want it.
+COMMON := $(OPTIMISE) -fPIC -fvisibility=hidden -ffp-contract=off -fno-math-errno -ffile-prefix-map=$(CURDIR)=. -MMD -MP
+DEFINES := -D_POSIX_C_SOURCE=200809L -DQUELL_BUILDING -DQL_WEIGHTS_DIR=\"weights\"
+C_FLAGS = -std=c11 $(WARN_C) $(COMMON) $(DEFINES) -Iinclude -Isrc $(CPPFLAGS) $(CFLAGS)
+CXX_FLAGS = -std=c++17 $(WARN) $(COMMON) -Iinclude -Isrc $(CPPFLAGS) $(CXXFLAGS)
+
+# One table of instruction sets: suffix of the source file -> flags, and the machine it is for.
+ISA_FLAGS_avx2 := -mavx2 -mfma -mf16c
+ISA_FLAGS_avx512 := -mavx512f -mavx512bw -mavx512dq -mavx512vl $(ISA_FLAGS_avx2)
+ISA_FLAGS_avx512bf16 := -mavx512bf16 $(ISA_FLAGS_avx512)
+ISA_FLAGS_neon :=
+ISA_ARCH_avx2 := x86_64
+ISA_ARCH_avx512 := x86_64
+ISA_ARCH_avx512bf16 := x86_64
+ISA_ARCH_neon := aarch64
+ISAS := avx2 avx512 avx512bf16 neon
+isa_flags = $(strip $(foreach isa,$(ISAS),$(if $(filter %_$(isa),$(basename $(1))),$(ISA_FLAGS_$(isa)))))
+other_isas := $(foreach isa,$(ISAS),$(if $(filter $(ARCH),$(ISA_ARCH_$(isa))),,$(isa)))
+
+# ---- Sources ----------------------------------------------------------------------------------------------------------
+
+LIB_FOLDERS := base kernels frame exr nn models filter plan denoise metrics api
+ifneq ($(CROSS),)
+# OpenEXR is not cross built: the kernels, and what stands on them alone, are what the cross tests are about.
+LIB_FOLDERS := base kernels frame nn models filter metrics
+endif
+LIB_SOURCES := $(foreach folder,$(LIB_FOLDERS),$(wildcard src/$(folder)/*.c))
+LIB_SOURCES := $(filter-out $(foreach isa,$(other_isas),%_$(isa).c),$(LIB_SOURCES))
+LIB_OBJECTS := $(LIB_SOURCES:%.c=$(OBJ)/%.o)
+CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/cli/*.c)) $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
+WEIGHTS := $(wildcard weights/*.qwt)
+
+STATIC_LIB := $(OUT)/lib/libquell.a
+SHARED_LIB := $(OUT)/lib/libquell.so.$(VERSION)
+SONAME := libquell.so.$(VERSION_MAJOR)
+CLI := $(OUT)/bin/quell
+
+# tests/<folder>/test_*.c are programs; other .c files of the folder are linked into each of them.
+TEST_SOURCES := $(sort $(wildcard tests/*/test_*.c))
+ifneq ($(CROSS),)
+TEST_SOURCES := $(filter tests/kernels/%,$(TEST_SOURCES))
+endif
+TESTS := $(TEST_SOURCES:tests/%.c=$(OUT)/tests/%)
+test_helpers = $(patsubst %.c,$(OBJ)/%.o,$(filter-out $(wildcard $(dir $(1))test_*.c),$(wildcard $(dir $(1))*.c)))
+
+BENCH_SOURCES := $(wildcard bench/*.c)
+BENCHES := $(BENCH_SOURCES:bench/%.c=$(OUT)/bench/%)
+
+# ---- OpenEXR ----------------------------------------------------------------------------------------------------------
+
+OPENEXR := $(BUILD)/third_party/openexr
+ifeq ($(CROSS),)
+OPENEXR_STAMP := $(OPENEXR)/stamp
+OPENEXR_LINK = $$(cat $(OPENEXR)/link.flags)
+endif
+
+$(OPENEXR)/stamp: scripts/build_openexr.sh
+	$(call say,DEPS,OpenEXRCore)
+	$(Q)env -u MAKEFLAGS -u CFLAGS -u CXXFLAGS scripts/build_openexr.sh $(OPENEXR)
+	@touch $@
+
+# ---- Compile ----------------------------------------------------------------------------------------------------------
+
+# Rebuild when the flags change, which no file's time would tell.
+$(OBJ)/flags: FORCE
+	@mkdir -p $(@D)
+	@printf '%s\n' '$(subst ',,$(CC) $(CXX) $(C_FLAGS) $(CXX_FLAGS) $(LDFLAGS))' >$@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
+$(OBJ)/%.o: %.c $(OBJ)/flags
+	$(call say,CC,$<)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(C_FLAGS) $(call isa_flags,$<) $(EXTRA_FLAGS) -c $< -o $@
+
+$(OBJ)/%.o: %.cpp $(OBJ)/flags
+	$(call say,CXX,$<)
+	@mkdir -p $(@D)
+	$(Q)$(CXX) $(CXX_FLAGS) $(EXTRA_FLAGS) -c $< -o $@
+
+$(OBJ)/src/exr/%.o: EXTRA_FLAGS := -isystem $(OPENEXR)/include
+$(patsubst %.c,$(OBJ)/%.o,$(wildcard src/exr/*.c)): | $(OPENEXR_STAMP)
+$(OBJ)/src/models/builtin.o: $(WEIGHTS)
+$(OBJ)/src/cli/%.o: EXTRA_FLAGS = $(shell pkg-config --cflags libcjson)
+$(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp)): EXTRA_FLAGS = \
+	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags OpenImageIO)) -isystem /usr/include/Imath
+$(OBJ)/tests/%.o: EXTRA_FLAGS := -Itests -isystem $(OPENEXR)/include -UNDEBUG
+$(OBJ)/bench/%.o: EXTRA_FLAGS := -Ibench
+
+-include $(shell test -d $(OBJ) && find $(OBJ) -name '*.d')
+
+# ---- Link -------------------------------------------------------------------------------------------------------------
+
+$(STATIC_LIB): $(LIB_OBJECTS)
+	$(call say,AR,$@)
+	@mkdir -p $(@D)
+	$(Q)rm -f $@ && $(AR) rcsD $@ $(LIB_OBJECTS)
+
+$(SHARED_LIB): $(LIB_OBJECTS) src/libquell.map $(OPENEXR_STAMP)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CC) -shared -o $@ $(LIB_OBJECTS) $(LINK_SAN) $(LDFLAGS) -Wl,-soname,$(SONAME) \
+		-Wl,--version-script=src/libquell.map -Wl,-z,defs -Wl,-z,relro -Wl,-z,now -Wl,-z,noexecstack \
+		$(OPENEXR_LINK) -lm -pthread
+	$(Q)ln -sf $(notdir $@) $(@D)/$(SONAME) && ln -sf $(SONAME) $(@D)/libquell.so
+
+# The tool uses the public interface alone: it links against the shared library like any other program.
+$(CLI): $(CLI_OBJECTS) $(SHARED_LIB)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CXX) -o $@ $(CLI_OBJECTS) $(LINK_SAN) $(LDFLAGS) -L$(OUT)/lib -lquell -Wl,-rpath,'$$ORIGIN/../lib' \
+		$$(pkg-config --libs OpenImageIO libcjson) -lm -pthread
+
+.SECONDEXPANSION:
+$(OUT)/tests/%: $(OBJ)/tests/%.o $$(call test_helpers,tests/%.c) $(STATIC_LIB) $(OPENEXR_STAMP)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CC) -o $@ $(filter %.o,$^) $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(OPENEXR_LINK) \
+		$(if $(CROSS),,-lcmocka) -lm -pthread
+
+$(OUT)/bench/%: $(OBJ)/bench/%.o $(STATIC_LIB) $(OPENEXR_STAMP)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CC) -o $@ $< $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(OPENEXR_LINK) -lm -pthread
+
+# ---- Python environment -----------------------------------------------------------------------------------------------
+
+VENV := $(BUILD)/venv
+PYTHON := $(VENV)/bin/python
+
+$(VENV)/stamp-%: scripts/requirements-%.txt
+	$(call say,VENV,$<)
+	$(Q)test -x $(PYTHON) || python3 -m venv $(VENV)
+	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+# ---- Targets ----------------------------------------------------------------------------------------------------------
+
+## all: the library and the tool (the default)
+all: lib cli
+
+## lib: libquell.so and libquell.a
+lib: $(SHARED_LIB) $(STATIC_LIB)
+
+## cli: the quell tool
+cli: $(CLI)
+
+## c-tests: build the C test programs without running them
+c-tests: $(TESTS)
+
+## check: the quick tests, all in C, and the warnings of every source as errors (under a minute once built)
+check: syntax $(TESTS)
+	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
+
+## test: install what tests need, build, and run every test
+test: deps-test
+	$(Q)$(MAKE) all c-tests $(if $(wildcard bench/*.c),benches) $(VENV)/stamp-test
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests $(PYTEST_FLAGS)
+
+## test-long: the tests, again under the sanitizers, with each instruction set, on ARM, and under valgrind
+test-long: test
+	$(Q)$(MAKE) asan
+	$(Q)$(MAKE) ubsan
+	$(Q)$(MAKE) qemu
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests -m slow $(PYTEST_FLAGS)
+
+## asan: the C tests under the address sanitizer
+asan:
+	$(Q)$(MAKE) SAN=address check
+
+## ubsan: the C tests under the undefined-behaviour sanitizer
+ubsan:
+	$(Q)$(MAKE) SAN=undefined check
+
+## tsan: the C tests under the thread sanitizer
+tsan:
+	$(Q)$(MAKE) SAN=thread check
+
+## qemu: cross build the kernels for aarch64 and run their tests under qemu
+qemu:
+	$(Q)$(MAKE) ARCH=aarch64 cross-check
+
+cross-check: $(TESTS)
+	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
+
+## demo: install what is needed, build, denoise the samples and compare them with their references
+demo: deps-demo
+	$(Q)$(MAKE) all $(VENV)/stamp-demo
+	$(Q)$(PYTHON) scripts/demo.py --quell $(CLI) --out $(BUILD)/demo
+
+benches: $(BENCHES)
+
+## bench: time and peak memory by size and number of layers; CSV under bench/results/
+bench: deps-bench
+	$(Q)$(MAKE) all benches $(VENV)/stamp-demo
+	$(Q)$(PYTHON) bench/bench.py --quell $(CLI)
+
+## deps-demo deps-test deps-bench: only install what those targets need
+deps-demo deps-test deps-bench: deps-%:
+	$(Q)scripts/install_deps.sh $*
+
+## install: library, header, pkg-config file and tool under $(DESTDIR)$(PREFIX)
+install: all
+	$(call say,INSTALL,$(DESTDIR)$(PREFIX))
+	$(Q)install -d $(DESTDIR)$(LIBDIR)/pkgconfig $(DESTDIR)$(INCLUDEDIR) $(DESTDIR)$(BINDIR) \
+		$(DESTDIR)$(PREFIX)/share/doc/quell
+	$(Q)install -m 755 $(SHARED_LIB) $(DESTDIR)$(LIBDIR)/
+	$(Q)ln -sf $(notdir $(SHARED_LIB)) $(DESTDIR)$(LIBDIR)/$(SONAME)
+	$(Q)ln -sf $(SONAME) $(DESTDIR)$(LIBDIR)/libquell.so
+	$(Q)install -m 644 include/quell.h $(DESTDIR)$(INCLUDEDIR)/
+	$(Q)install -m 755 $(CLI) $(DESTDIR)$(BINDIR)/
+	$(Q)sed -e 's|@PREFIX@|$(PREFIX)|; s|@LIBDIR@|$(LIBDIR)|; s|@INCLUDEDIR@|$(INCLUDEDIR)|; s|@VERSION@|$(VERSION)|' \
+		quell.pc.in >$(DESTDIR)$(LIBDIR)/pkgconfig/quell.pc
+	$(Q)install -m 644 LICENSE README.md docs/cli.md $(DESTDIR)$(PREFIX)/share/doc/quell/
+	$(Q)if test -d $(OPENEXR)/LICENSES; then cp -R $(OPENEXR)/LICENSES $(DESTDIR)$(PREFIX)/share/doc/quell/; fi
+
+## dist: a source archive of the committed tree
+dist:
+	@mkdir -p $(BUILD)
+	$(Q)git archive --format=tar.gz --prefix=quell-$(VERSION)/ -o $(BUILD)/quell-$(VERSION).tar.gz HEAD
+	@echo $(BUILD)/quell-$(VERSION).tar.gz
+
+FORMATTED := $(wildcard include/*.h src/*/*.[ch] src/*/*.cpp tests/*/*.[ch] samples/*.c bench/*.c)
+
+## format: reformat the C, C++ and Python sources in place
+format:
+	$(Q)clang-format -i $(FORMATTED)
+	$(Q)if command -v ruff >/dev/null; then ruff format scripts tests bench training; fi
+
+## lint: the arrows between folders, warnings as errors, and the formatting
+lint: syntax
+	$(Q)python3 tests/check_includes.py
+	$(Q)clang-format --dry-run -Werror $(FORMATTED)
+	$(Q)if command -v ruff >/dev/null; then ruff check scripts tests bench training; fi
+
+# Warnings are errors here and only here: a new compiler's warning must not break somebody's build.
+SYNTAX := $(filter-out $(WEIGHTS),$(LIB_SOURCES:%=$(OBJ)/%.syntax))
+syntax: $(SYNTAX)
+$(OBJ)/%.syntax: % $(OBJ)/flags | $(OPENEXR_STAMP)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(C_FLAGS) $(call isa_flags,$<) -isystem $(OPENEXR)/include -Werror -fsyntax-only -MT $@ -MF $@.d $<
+	@touch $@
+
+## clean: remove this configuration's results (build/third_party and build/venv stay)
+clean:
+	$(Q)rm -rf $(OUT)
+
+## distclean: remove everything under build/
+distclean:
+	$(Q)rm -rf $(BUILD)
+
+## help: this list
+help:
+	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
+
+.PHONY: all lib cli c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
+	deps-bench install dist format lint syntax clean distclean help FORCE
+.SECONDARY:
