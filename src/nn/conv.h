@@ -1,0 +1,46 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Layers of a network on feature maps in memory: which rows meet which weights. The arithmetic is in kernels/. */
+#ifndef QL_NN_CONV_H
+#define QL_NN_CONV_H
+
+#include "base/pool.h"
+#include "kernels/kernels.h"
+#include "nn/weights.h"
+
+/* A feature map [height][width][channels] with one pixel of zeros on every side. */
+typedef struct ql_map {
+    float *data; /* pixel (-1, -1) */
+    uint32_t width, height, channels;
+} ql_map;
+
+quell_status ql_map_create(ql_map *map, uint32_t width, uint32_t height, uint32_t channels, ql_memory *memory,
+                           ql_error *err);
+void ql_map_destroy(ql_map *map, ql_memory *memory);
+float *ql_map_row(const ql_map *map, int64_t y); /* pixel (0, y); y from -1 to height */
+size_t ql_map_bytes(uint32_t width, uint32_t height, uint32_t channels);
+
+typedef struct ql_conv {
+    uint32_t size;                   /* 3: 3x3, stride 1; 2: 2x2, stride 2; 1: 1x1 */
+    uint32_t num_in, num_out;        /* num_out is padded to QL_BLOCK */
+    float *weights, *bias;           /* packed for ql_conv_row */
+} ql_conv;
+
+/* Reads 'NAME.weight' [size][size][num_in][num_out] and 'NAME.bias' [num_out]. order, if not NULL, picks num_order of
+ * the file's output channels, in that order. */
+quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *name, uint32_t size, uint32_t num_in,
+                          uint32_t num_out, const uint32_t *order, uint32_t num_order, ql_memory *memory,
+                          ql_error *err);
+void ql_conv_free(ql_conv *conv, ql_memory *memory);
+
+/* One row of a 3x3 or 1x1 convolution at row y, pixels x .. x + num - 1, into out [num][num_out]. */
+void ql_conv_apply_row(const ql_conv *conv, const ql_kernels *kernels, const ql_map *in, uint32_t x, uint32_t y,
+                       uint32_t num, int32_t relu, float *out);
+
+/* Whole maps, rows in parallel. out has the right size and num_out channels. */
+quell_status ql_conv_apply(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, const ql_map *in, ql_map *out,
+                           int32_t relu);
+
+/* map = max(0, map + coarse of twice the pixel size). */
+quell_status ql_upsample_add_relu(ql_env *env, const ql_map *coarse, ql_map *map);
+
+#endif
