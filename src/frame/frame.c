@@ -103,6 +103,12 @@ fail:
     return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "no memory for the layer '%s'", full_name);
 }
 
+void ql_frame_remove_last_layer(ql_frame *frame)
+{
+    frame->num_layers--;
+    free_layer(frame->memory, &frame->layers[frame->num_layers]);
+}
+
 quell_status ql_layer_alloc_pixels(ql_frame *frame, ql_layer *layer, ql_error *err)
 {
     const size_t value_bytes = ql_format_bytes(layer->format);

@@ -29,6 +29,7 @@ typedef struct ql_layer {
                                 reads), see ql_exr_load_layer */
     void *owned;             /* the memory behind pixels, NULL when borrowed */
     float *result;           /* [num_channels][height][width], NULL until denoised; owned */
+    int32_t is_denoised;     /* filtered by a denoise; a borrowed layer then has its result in the caller's pixels */
     uint32_t part;           /* of the file */
     int32_t channel_index[4]; /* index of each channel in its part's channel list */
 } ql_layer;
@@ -53,6 +54,9 @@ void ql_frame_destroy(ql_frame *frame);
  * NULL. *out is lent until the next append. */
 quell_status ql_frame_append_layer(ql_frame *frame, const char *full_name, const char *const *multi_view,
                                    ql_layer **out, ql_error *err);
+
+/* Takes the last layer off again, for callers whose next step failed. */
+void ql_frame_remove_last_layer(ql_frame *frame);
 
 /* Gives the layer packed planes of its own ([num_channels][height][width] in its format), whose content is undefined.
  * num_channels and format must be set. Pixels that it owned before are freed. */
