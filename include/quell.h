@@ -257,8 +257,8 @@ enum {
 /* Adds a layer. name: a pass name of any Blender version, with or without "ViewLayer." before it ("Combined",
  * "DiffDir", "Diffuse Direct", "Denoising Normal", "Combined_key"); other names get QUELL_ROLE_OTHER.
  * image->width and height must be the frame's. *out_index, if not NULL, receives the layer's index.
- * Returns QUELL_OK, QUELL_ERR_INVALID_ARGUMENT (name taken, bad view), QUELL_ERR_SIZE_MISMATCH,
- * QUELL_ERR_OUT_OF_MEMORY. Since: 0.1 */
+ * Returns QUELL_OK, QUELL_ERR_INVALID_ARGUMENT (name taken, bad view, channels that do not fit the name, a frame that was
+ * read from a file), QUELL_ERR_SIZE_MISMATCH, QUELL_ERR_OUT_OF_MEMORY. Since: 0.1 */
 QUELL_API QUELL_NODISCARD quell_status quell_frame_add_layer(quell_context *ctx, quell_frame *frame, const char *name,
                                                              const quell_image *image, int32_t ownership,
                                                              uint32_t *out_index);
@@ -275,8 +275,10 @@ QUELL_API QUELL_NODISCARD quell_status quell_frame_get_layer(const quell_frame *
  * is none. Since: 0.1 */
 QUELL_API int64_t quell_frame_find_layer(const quell_frame *frame, const char *name);
 
-/* Copies the layer's present pixels (denoised, once it was) into the caller's image, converting its format.
- * Returns QUELL_OK, QUELL_ERR_INVALID_ARGUMENT, QUELL_ERR_SIZE_MISMATCH. Since: 0.1 */
+/* Copies the layer's present pixels (denoised, once it was) into the caller's image, converting its format. An image of
+ * fewer channels receives the first ones. A layer that denoising does not use is read from its file only now.
+ * Returns QUELL_OK, QUELL_ERR_INVALID_ARGUMENT, QUELL_ERR_SIZE_MISMATCH, QUELL_ERR_OUT_OF_MEMORY, QUELL_ERR_FILE_READ.
+ * Since: 0.1 */
 QUELL_API QUELL_NODISCARD quell_status quell_frame_copy_layer(quell_context *ctx, const quell_frame *frame,
                                                               uint32_t index, const quell_image *image);
 
