@@ -68,8 +68,12 @@ static exr_result_t point_at(ql_exr_source *source, ql_exr_decoder *decoder, uin
     }
     memset(pipeline, 0, sizeof *pipeline);
     pipeline->pipe_size = sizeof *pipeline;
-    const exr_result_t code = exr_decoding_initialize(source->context, (int)part, chunk, pipeline);
-    if (code != EXR_ERR_SUCCESS) {
+    exr_result_t code = exr_decoding_initialize(source->context, (int)part, chunk, pipeline);
+    if (code == EXR_ERR_SUCCESS) {
+        /* No channel has a place to go to, which chooses plain reading and decompressing, and an unpacker to drop. */
+        code = exr_decoding_choose_default_routines(source->context, (int)part, pipeline);
+        pipeline->unpack_and_convert_fn = NULL;
+    } else {
         pipeline->context = source->context; /* destroy frees through it */
         pipeline->part_index = (int)part;
     }
