@@ -1,0 +1,405 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* A whole job: look at the layers, plan, run every set tile by tile, report. */
+#include "denoise/denoise.h"
+
+#include "base/clock.h"
+#include "denoise/region.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { TILE_ALIGNMENT = 32, MIN_TILE = 64 };
+
+typedef struct work {
+    ql_env *env;
+    ql_frame *frame;
+    ql_plan plan;
+    ql_scan *scans;
+    float **results;
+    ql_job job;
+    uint32_t tile_width, tile_height, num_tiles, halo;
+    uint64_t planned_bytes;
+    double seconds_features;
+} work;
+
+/* ---- Looking at the layers ---------------------------------------------------------------------------------------- */
+
+static uint32_t num_colors(const ql_layer *layer)
+{
+    return layer->num_channels < 3 ? layer->num_channels : 3;
+}
+
+static int is_radiance(int32_t role)
+{
+    const int32_t group = ql_role_group(role);
+    return group != QL_GROUP_NONE && group != QL_GROUP_COLOR;
+}
+
+static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
+{
+    const ql_plan_set *const set = &w->plan.sets[set_index];
+    const int32_t emission = set->role_layer[QUELL_ROLE_EMISSION], depth = set->role_layer[QUELL_ROLE_DENOISING_DEPTH];
+    for (uint32_t i = 0; i < w->frame->num_layers; ++i) {
+        const ql_layer *const layer = &w->frame->layers[i];
+        const ql_plan_layer *const plan = &w->plan.layers[i];
+        int wanted = plan->set == (int32_t)set_index &&
+                     (plan->action == QUELL_ACTION_DENOISED || plan->action == QUELL_ACTION_GUIDE ||
+                      ((int32_t)i == set->beauty) || (set->has_light && is_radiance(layer->role)) ||
+                      layer->role == QUELL_ROLE_NOISY_SHADOW_CATCHER ||
+                      (set->has_light && ql_role_group(layer->role) == QL_GROUP_COLOR));
+        if (!wanted || layer->pixels.data == NULL || set->beauty == QL_PLAN_NONE) continue;
+        uint32_t flags = 0;
+        if (is_radiance(layer->role) || layer->role == QUELL_ROLE_NOISY_IMAGE ||
+            layer->role == QUELL_ROLE_NOISY_SHADOW_CATCHER)
+            flags |= QL_SCAN_LIMIT;
+        /* What the camera sees of emitters and sky is no firefly. */
+        if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) flags = 0;
+        if ((int32_t)i == set->beauty || (int32_t)i == depth) flags |= QL_SCAN_BINS;
+        const int by_emission = set->has_light && emission != QL_PLAN_NONE && (int32_t)i == set->beauty;
+        QL_TRY(ql_scan_layer(w->env, layer, by_emission ? &w->frame->layers[emission] : NULL, num_colors(layer),
+                             w->frame->width, w->frame->height, flags, &w->scans[i], err));
+    }
+    return QUELL_OK;
+}
+
+/* Mean of |sum of passes - Combined| relative to Combined, for the plan; fixed order of summation, one thread per row
+ * band is not worth it: it reads what the scan has just read. */
+typedef struct closure_job {
+    const work *w;
+    const ql_plan_set *set;
+    float *scratch;
+    size_t scratch_floats;
+    double *sums; /* [height][3]: without Environment, with it, Combined */
+} closure_job;
+
+static void closure_task(void *user, uint32_t task, uint32_t worker)
+{
+    const closure_job *const job = user;
+    const ql_frame *const frame = job->w->frame;
+    const uint32_t width = frame->width;
+    float *const base = job->scratch + worker * job->scratch_floats;
+    float *rows[15];
+    for (uint32_t i = 0; i < 15; ++i) rows[i] = base + (size_t)i * width;
+    const ql_layer *const combined = &frame->layers[job->set->beauty];
+    const int32_t *const role = job->set->role_layer;
+    for (uint32_t c = 0; c < 3; ++c) {
+        ql_layer_read_row(combined, width, c, task, rows[c]);
+        memset(rows[3 + c], 0, width * sizeof *rows[0]);
+    }
+    for (int32_t r = QUELL_ROLE_DIFFUSE_DIRECT; r <= QUELL_ROLE_TRANSMISSION_DIRECT; r += 3) {
+        for (uint32_t c = 0; c < 3; ++c) {
+            for (int32_t i = 0; i < 3; ++i)
+                ql_layer_read_row(&frame->layers[role[r + i]], width, c, task, rows[6 + i]);
+            for (uint32_t x = 0; x < width; ++x) rows[3 + c][x] += (rows[6][x] + rows[7][x]) * rows[8][x];
+        }
+    }
+    for (int32_t r = QUELL_ROLE_VOLUME_DIRECT; r <= QUELL_ROLE_EMISSION; ++r) {
+        if (role[r] == QL_PLAN_NONE) continue;
+        for (uint32_t c = 0; c < 3; ++c) {
+            ql_layer_read_row(&frame->layers[role[r]], width, c, task, rows[6]);
+            for (uint32_t x = 0; x < width; ++x) rows[3 + c][x] += rows[6][x];
+        }
+    }
+    double *const sums = job->sums + 3 * (size_t)task;
+    sums[0] = sums[1] = sums[2] = 0.0;
+    for (uint32_t c = 0; c < 3; ++c) {
+        if (role[QUELL_ROLE_ENVIRONMENT] != QL_PLAN_NONE)
+            ql_layer_read_row(&frame->layers[role[QUELL_ROLE_ENVIRONMENT]], width, c, task, rows[6]);
+        else
+            memset(rows[6], 0, width * sizeof *rows[6]);
+        for (uint32_t x = 0; x < width; ++x) {
+            const float value = rows[c][x], without = fabsf(rows[3 + c][x] - value);
+            const float with = fabsf(rows[3 + c][x] + rows[6][x] - value);
+            /* Half floats end at 65504, where sums no longer tell; bad pixels tell nothing. */
+            if (!isfinite(without) || !isfinite(with) || fabsf(value) > 6e4f) continue;
+            sums[0] += (double)without;
+            sums[1] += (double)with;
+            sums[2] += (double)fabsf(value);
+        }
+    }
+}
+
+static quell_status choose_combined(work *w, uint32_t set_index, ql_error *err)
+{
+    const ql_plan_set *const set = &w->plan.sets[set_index];
+    double closure[2] = {INFINITY, INFINITY};
+    if (set->has_light) {
+        closure_job job = {.w = w, .set = set, .scratch_floats = 15 * (size_t)w->frame->width};
+        job.scratch = ql_alloc(w->env->memory, ql_pool_num_threads(w->env->pool), job.scratch_floats * sizeof(float));
+        job.sums = ql_alloc(w->env->memory, w->frame->height, 3 * sizeof *job.sums);
+        quell_status status = QUELL_OK;
+        if (job.scratch == NULL || job.sums == NULL)
+            status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of passes");
+        else
+            status = ql_env_run(w->env, w->frame->height, closure_task, &job);
+        double sums[3] = {0.0, 0.0, 0.0};
+        for (size_t i = 0; status == QUELL_OK && i < 3 * (size_t)w->frame->height; ++i) sums[i % 3] += job.sums[i];
+        ql_free(w->env->memory, job.scratch);
+        ql_free(w->env->memory, job.sums);
+        QL_TRY(status);
+        for (int i = 0; i < 2; ++i) closure[i] = sums[2] > 0.0 ? sums[i] / sums[2] : sums[i] > 0.0 ? INFINITY : 0.0;
+    }
+    ql_plan_choose_combined(&w->plan, set_index, closure);
+    return QUELL_OK;
+}
+
+static quell_status look(work *w, ql_error *err)
+{
+    w->scans = ql_alloc_zero(w->env->memory, w->frame->num_layers, sizeof *w->scans);
+    ql_layer_facts *const facts = ql_alloc_zero(w->env->memory, w->frame->num_layers, sizeof *facts);
+    quell_status status = QUELL_OK;
+    if (w->scans == NULL || facts == NULL) status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: layer facts");
+    for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = scan_set(w, s, err);
+    if (status == QUELL_OK) {
+        for (uint32_t i = 0; i < w->frame->num_layers; ++i)
+            facts[i] = (ql_layer_facts){w->scans[i].is_zero, w->scans[i].is_constant && w->scans[i].is_constant_alpha};
+        ql_plan_skip(&w->plan, facts);
+    }
+    for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = choose_combined(w, s, err);
+    ql_free(w->env->memory, facts);
+    return status;
+}
+
+/* ---- Tiles -------------------------------------------------------------------------------------------------------- */
+
+static uint32_t align_up(uint32_t value, uint32_t alignment)
+{
+    return (value + alignment - 1) / alignment * alignment;
+}
+
+static uint32_t region_edge(uint32_t tile, uint32_t halo, uint32_t image)
+{
+    const uint64_t with_halo = (uint64_t)tile + 2 * (uint64_t)halo, whole = align_up(image, QL_NET_ALIGNMENT);
+    return (uint32_t)(with_halo < whole ? with_halo : whole);
+}
+
+static uint64_t tile_bytes(const work *w, uint32_t tile_width, uint32_t tile_height)
+{
+    return ql_region_peak_bytes(w->job.net, &w->plan, w->frame, w->frame->width,
+                                region_edge(tile_width, w->halo, w->frame->width),
+                                region_edge(tile_height, w->halo, w->frame->height), ql_pool_num_threads(w->env->pool));
+}
+
+/* The largest tile that fits: the whole image, then halves of the longer edge. */
+static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memory_bytes, ql_error *err)
+{
+    const uint64_t used = atomic_load(&w->env->memory->used_bytes);
+    w->halo = ql_region_halo(w->job.net);
+    uint32_t tw = align_up(w->frame->width, TILE_ALIGNMENT), th = align_up(w->frame->height, TILE_ALIGNMENT);
+    if (tile_size > 0) {
+        const uint32_t tile = align_up(tile_size < MIN_TILE ? MIN_TILE : tile_size, TILE_ALIGNMENT);
+        tw = tile < tw ? tile : tw;
+        th = tile < th ? tile : th;
+    }
+    while (tile_bytes(w, tw, th) + used > max_memory_bytes && (tw > MIN_TILE || th > MIN_TILE)) {
+        if (tw >= th) tw = align_up(tw / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(tw / 2, TILE_ALIGNMENT);
+        else th = align_up(th / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(th / 2, TILE_ALIGNMENT);
+    }
+    w->planned_bytes = tile_bytes(w, tw, th) + used;
+    if (w->planned_bytes > max_memory_bytes)
+        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "the smallest tile needs %llu MB of working memory, %llu MB are "
+                       "allowed; raise the limit", (unsigned long long)(w->planned_bytes >> 20) + 1,
+                       (unsigned long long)(max_memory_bytes >> 20));
+    w->tile_width = tw;
+    w->tile_height = th;
+    w->num_tiles = ((w->frame->width + tw - 1) / tw) * ((w->frame->height + th - 1) / th);
+    return QUELL_OK;
+}
+
+static ql_region region_at(const work *w, uint32_t index)
+{
+    const uint32_t across = (w->frame->width + w->tile_width - 1) / w->tile_width;
+    ql_region r = {.x0 = index % across * w->tile_width, .y0 = index / across * w->tile_height};
+    r.x1 = r.x0 + w->tile_width < w->frame->width ? r.x0 + w->tile_width : w->frame->width;
+    r.y1 = r.y0 + w->tile_height < w->frame->height ? r.y0 + w->tile_height : w->frame->height;
+    r.rx = r.x0 > w->halo ? r.x0 - w->halo : 0;
+    r.ry = r.y0 > w->halo ? r.y0 - w->halo : 0;
+    const uint32_t right = align_up(w->frame->width, QL_NET_ALIGNMENT), bottom = align_up(w->frame->height, QL_NET_ALIGNMENT);
+    const uint32_t x_end = align_up(r.x1 + w->halo, QL_NET_ALIGNMENT), y_end = align_up(r.y1 + w->halo, QL_NET_ALIGNMENT);
+    r.width = (x_end < right ? x_end : right) - r.rx;
+    r.height = (y_end < bottom ? y_end : bottom) - r.ry;
+    return r;
+}
+
+/* ---- Running ------------------------------------------------------------------------------------------------------ */
+
+/* Results start as the source's pixels, bad ones as black: what no kernel reaches stays. */
+static quell_status start_results(work *w, ql_error *err)
+{
+    w->results = ql_alloc_zero(w->env->memory, w->frame->num_layers, sizeof *w->results);
+    if (w->results == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: list of results");
+    const uint32_t width = w->frame->width, height = w->frame->height;
+    for (uint32_t i = 0; i < w->frame->num_layers; ++i) {
+        if (w->plan.layers[i].action != QUELL_ACTION_DENOISED) continue;
+        const ql_layer *const layer = &w->frame->layers[i];
+        const ql_layer *const source = &w->frame->layers[w->plan.layers[i].source];
+        float *const out = ql_alloc(w->frame->memory, (size_t)layer->num_channels * height, width * sizeof *out);
+        if (out == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory for its result", layer->full_name);
+        w->results[i] = out;
+        for (uint32_t c = 0; c < layer->num_channels; ++c)
+            for (uint32_t y = 0; y < height; ++y) {
+                float *const row = out + ((size_t)c * height + y) * width;
+                const int from_source = c < source->num_channels;
+                ql_layer_read_row(from_source ? source : layer, width, c, y, row);
+                for (uint32_t x = 0; x < width; ++x)
+                    if (!isfinite(row[x])) row[x] = 0.0f;
+            }
+    }
+    return QUELL_OK;
+}
+
+static ql_feature_setup feature_setup(const work *w, uint32_t set_index)
+{
+    const ql_plan_set *const set = &w->plan.sets[set_index];
+    const int32_t depth = set->role_layer[QUELL_ROLE_DENOISING_DEPTH];
+    const ql_scan *const beauty = &w->scans[set->beauty];
+    ql_feature_setup setup = {
+        .has_light = set->has_light,
+        .has_albedo = set->role_layer[QUELL_ROLE_DENOISING_ALBEDO] != QL_PLAN_NONE,
+        .has_normal = set->role_layer[QUELL_ROLE_DENOISING_NORMAL] != QL_PLAN_NONE,
+        .has_depth = depth != QL_PLAN_NONE,
+        .samples = set->samples,
+        .exposure_exponent = ql_log_exponent(beauty->bins, beauty->num_bins),
+    };
+    if (setup.has_depth) setup.depth_exponent = ql_log_exponent(w->scans[depth].bins, w->scans[depth].num_bins);
+    return setup;
+}
+
+static int set_has_work(const work *w, uint32_t set_index)
+{
+    for (uint32_t i = 0; i < w->plan.num_layers; ++i)
+        if (w->plan.layers[i].set == (int32_t)set_index && w->plan.layers[i].action == QUELL_ACTION_DENOISED) return 1;
+    return 0;
+}
+
+static quell_status run(work *w, ql_error *err)
+{
+    QL_TRY(start_results(w, err));
+    w->job.results = w->results;
+    const uint32_t steps = w->plan.num_sets * w->num_tiles;
+    for (uint32_t s = 0, done = 0; s < w->plan.num_sets; ++s) {
+        if (!set_has_work(w, s)) {
+            done += w->num_tiles;
+            continue;
+        }
+        const ql_feature_setup setup = feature_setup(w, s);
+        for (uint32_t t = 0; t < w->num_tiles; ++t, ++done) {
+            const ql_region region = region_at(w, t);
+            w->env->progress_from = 0.05 + 0.95 * done / steps;
+            w->env->progress_to = 0.05 + 0.95 * (done + 1) / steps;
+            QL_TRY(ql_region_run(&w->job, w->env, s, &setup, &region, err));
+        }
+    }
+    return QUELL_OK;
+}
+
+/* ---- Report ------------------------------------------------------------------------------------------------------- */
+
+static double result_mean(const work *w, uint32_t index)
+{
+    const ql_layer *const layer = &w->frame->layers[index];
+    const size_t row = w->frame->width, num_rows = (size_t)num_colors(layer) * w->frame->height;
+    double sum = 0.0;
+    for (size_t r = 0; r < num_rows; ++r) {
+        double line = 0.0;
+        for (size_t x = 0; x < row; ++x) line += (double)w->results[index][r * row + x];
+        sum += line;
+    }
+    return sum / ((double)num_rows * (double)row);
+}
+
+static quell_status make_report(const work *w, const ql_model *model, double seconds, int dry, ql_report **out,
+                                ql_error *err)
+{
+    quell_model_info info;
+    ql_report *const report = calloc(1, sizeof *report);
+    if (report == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: report");
+    ql_memory_init(&report->memory, 0);
+    ql_model_get_info(model, &info);
+    const uint32_t num = w->frame->num_layers;
+    report->layers = ql_alloc_zero(&report->memory, num, sizeof *report->layers);
+    report->names = ql_alloc_zero(&report->memory, num, sizeof *report->names);
+    report->model_name = ql_strdup(&report->memory, info.name);
+    int failed = report->layers == NULL || report->names == NULL || report->model_name == NULL;
+    uint32_t groups = 0, has_light = 0;
+    int32_t combined = QL_COMBINED_DIRECT;
+    if (!failed) report->summary.num_layers = num;
+    for (uint32_t i = 0; i < num && !failed; ++i) {
+        const ql_plan_layer *const plan = &w->plan.layers[i];
+        const ql_scan *const scan = &w->scans[plan->source];
+        quell_report_layer *const layer = &report->layers[i];
+        report->names[i] = ql_strdup(&report->memory, w->frame->layers[i].full_name);
+        failed = report->names[i] == NULL;
+        *layer = (quell_report_layer){.struct_size = sizeof *layer, .action = plan->action, .full_name = report->names[i]};
+        layer->reason = plan->reason;
+        layer->mean_before = layer->mean_after = scan->mean;
+        if (plan->action != QUELL_ACTION_DENOISED) continue;
+        layer->num_bad_pixels = scan->num_bad;
+        layer->num_limited_pixels = scan->num_limited;
+        if (!dry) layer->mean_after = result_mean(w, i);
+        if (plan->group == QL_GROUP_COLOR) has_light = 1;
+        else groups |= 1u << plan->group;
+    }
+    if (failed) {
+        ql_report_destroy(report);
+        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: report");
+    }
+    for (uint32_t s = 0; s < w->plan.num_sets; ++s)
+        if (w->plan.sets[s].combined > combined) combined = w->plan.sets[s].combined;
+    uint32_t num_groups = 0;
+    for (; groups; groups >>= 1) num_groups += groups & 1u;
+    quell_report_summary *const summary = &report->summary;
+    summary->struct_size = sizeof *summary;
+    summary->tile_width = w->tile_width;
+    summary->tile_height = w->tile_height;
+    summary->num_tiles = w->num_tiles;
+    summary->halo = w->num_tiles > 1 ? w->halo : 0;
+    summary->peak_bytes = dry ? w->planned_bytes : atomic_load(&w->env->memory->peak_bytes);
+    summary->macs_per_pixel = ql_net_macs_per_pixel(w->job.net, num_groups, (int32_t)has_light);
+    summary->combined = ql_plan_combined_name(combined);
+    summary->model_name = report->model_name;
+    if (!dry) {
+        summary->seconds_features = w->seconds_features;
+        summary->seconds_network = w->job.seconds_network;
+        summary->seconds_filter = w->job.seconds_filter;
+        summary->seconds_total = seconds;
+    }
+    *out = report;
+    return QUELL_OK;
+}
+
+quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_model *model, ql_frame *frame,
+                              const quell_options *options, uint64_t max_memory_bytes, int dry, ql_report **report,
+                              ql_error *err)
+{
+    const double start = ql_clock_seconds();
+    work w = {.env = env, .frame = frame};
+    *report = NULL;
+    env->progress_from = 0.0;
+    env->progress_to = 0.05;
+    quell_status status = ql_plan_create(frame, options->layers, env->memory, &w.plan, err);
+    if (status == QUELL_OK) status = look(&w, err);
+    w.seconds_features = ql_clock_seconds() - start;
+    if (status == QUELL_OK) {
+        w.job = (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
+        status = choose_tiles(&w, options->tile_size, max_memory_bytes, err);
+    }
+    if (status == QUELL_OK && !dry) status = run(&w, err);
+    if (status == QUELL_OK) status = make_report(&w, model, ql_clock_seconds() - start, dry, report, err);
+    for (uint32_t i = 0; i < frame->num_layers; ++i) {
+        if (w.scans) ql_scan_free(&w.scans[i], env->memory);
+        if (w.results == NULL || w.results[i] == NULL) continue;
+        if (status == QUELL_OK) {
+            ql_free(frame->memory, frame->layers[i].result);
+            frame->layers[i].result = w.results[i];
+        } else {
+            ql_free(frame->memory, w.results[i]);
+        }
+    }
+    if (status == QUELL_OK && !dry && (options->flags & QUELL_DENOISE_KEEP_NOISY)) frame->add_noisy_image = 1;
+    ql_free(env->memory, w.scans);
+    ql_free(env->memory, w.results);
+    ql_plan_free(&w.plan, env->memory);
+    return status;
+}

@@ -1,0 +1,449 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Features of a region, the network, then group by group the filters; Combined comes last, when its parts are there. */
+#include "denoise/region.h"
+
+#include "base/clock.h"
+#include "filter/narrow.h"
+#include "filter/pyramid.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    FEATURE_ROWS = 48,   /* rows of scratch that one row of features is made from */
+    VALUE_ROWS = 12,     /* ... that one row of values is made from */
+    MAX_BATCH = 8,       /* layers filtered at a time */
+    MAX_COLORS = 3
+};
+
+/* A colour this small halves the weight of its light: the ratio is noise there. training/models/quell.py */
+#define COLOR_EPSILON 0.02f
+/* Weights below it are none: importance is at least e^-12, so only bad pixels and black colours get there. */
+#define MIN_WEIGHT 1e-12f
+
+/* One layer in a batch: where its planes are. */
+typedef struct member {
+    int32_t layer;            /* whose result is written */
+    const ql_layer *source;
+    const ql_scan *scan;
+    float *result;
+    uint32_t num_channels;    /* filtered: 3 colours, and alpha where it varies */
+    uint32_t first_plane, weight_plane;
+} member;
+
+typedef struct batch {
+    ql_job *job;
+    const ql_region *region;
+    const ql_net_maps *maps;
+    const ql_plan_set *set;
+    int32_t group, set_index;
+    int32_t color_role;       /* of the colour whose size weighs this group's light, or QUELL_ROLE_OTHER */
+    member members[MAX_BATCH];
+    uint32_t num_members, num_planes;
+    float *scratch;           /* per worker */
+    size_t scratch_floats;
+} batch;
+
+typedef struct feature_job {
+    const ql_job *job;
+    const ql_plan_set *set;
+    const ql_feature_setup *setup;
+    const ql_region *region;
+    float *scratch; /* per worker: FEATURE_ROWS rows of the image's width, then one row of results */
+    size_t scratch_floats;
+} feature_job;
+
+/* ---- Features ----------------------------------------------------------------------------------------------------- */
+
+static void make_finite(float *row, uint32_t width)
+{
+    for (uint32_t x = 0; x < width; ++x)
+        if (!isfinite(row[x])) row[x] = 0.0f;
+}
+
+/* Reads up to num channels of a role's row into rows; zeros where the set has no such layer. */
+static void read_role(const feature_job *f, int32_t role, uint32_t y, uint32_t num, float *const *rows)
+{
+    const int32_t index = f->set->role_layer[role];
+    const uint32_t width = f->job->frame->width;
+    if (index == QL_PLAN_NONE) {
+        for (uint32_t c = 0; c < num; ++c) memset(rows[c], 0, width * sizeof *rows[c]);
+        return;
+    }
+    const ql_layer *const layer = &f->job->frame->layers[index];
+    ql_read_fixed_row(layer, &f->job->scans[index], width, y, num < layer->num_channels ? num : layer->num_channels,
+                      rows, NULL);
+    for (uint32_t c = 0; c < num; ++c) make_finite(rows[c], width);
+}
+
+static void read_light(const feature_job *f, int32_t direct, int32_t indirect, uint32_t y, float *const *rows,
+                       float *const *other)
+{
+    read_role(f, direct, y, 3, rows);
+    read_role(f, indirect, y, 3, other);
+    for (uint32_t c = 0; c < 3; ++c)
+        for (uint32_t x = 0; x < f->job->frame->width; ++x) rows[c][x] += other[c][x];
+}
+
+static void feature_row(void *user, uint32_t region_y, uint32_t worker, float *out)
+{
+    static const int32_t direct[4] = {QUELL_ROLE_DIFFUSE_DIRECT, QUELL_ROLE_GLOSSY_DIRECT,
+                                      QUELL_ROLE_TRANSMISSION_DIRECT, QUELL_ROLE_VOLUME_DIRECT};
+    static const int32_t color[3] = {QUELL_ROLE_DIFFUSE_COLOR, QUELL_ROLE_GLOSSY_COLOR, QUELL_ROLE_TRANSMISSION_COLOR};
+    const feature_job *const f = user;
+    const ql_frame *const frame = f->job->frame;
+    const ql_region *const region = f->region;
+    const uint32_t y = region->ry + region_y, width = frame->width;
+    if (y >= frame->height) {
+        memset(out, 0, (size_t)region->width * QL_NUM_FEATURES * sizeof *out);
+        return;
+    }
+    float *rows[FEATURE_ROWS];
+    for (uint32_t i = 0; i < FEATURE_ROWS; ++i) rows[i] = f->scratch + worker * f->scratch_floats + (size_t)i * width;
+    float *const *next = rows;
+    const uint32_t num = (region->rx + region->width < width ? region->width : width - region->rx);
+    ql_feature_rows in = {0};
+    const ql_layer *const beauty = &frame->layers[f->set->beauty];
+    ql_read_fixed_row(beauty, &f->job->scans[f->set->beauty], width, y, 3, next, NULL);
+    for (uint32_t c = 0; c < 3; ++c) in.beauty[c] = next[c] + region->rx;
+    next += 3;
+    if (beauty->num_channels > 3) {
+        ql_layer_read_row(beauty, width, 3, y, next[0]);
+        make_finite(next[0], width);
+        in.alpha = next[0] + region->rx;
+        next += 1;
+    }
+    if (f->setup->has_light) {
+        float *const *const spare = rows + FEATURE_ROWS - 3;
+        for (uint32_t i = 0; i < 4; ++i, next += 3) {
+            read_light(f, direct[i], direct[i] + 1, y, next, spare);
+            for (uint32_t c = 0; c < 3; ++c) in.light[i][c] = next[c] + region->rx;
+        }
+        for (uint32_t i = 0; i < 3; ++i, next += 3) {
+            read_role(f, color[i], y, 3, next);
+            for (uint32_t c = 0; c < 3; ++c) in.color[i][c] = next[c] + region->rx;
+        }
+    }
+    if (f->setup->has_albedo) {
+        read_role(f, QUELL_ROLE_DENOISING_ALBEDO, y, 3, next);
+        for (uint32_t c = 0; c < 3; ++c) in.albedo[c] = next[c] + region->rx;
+        next += 3;
+    }
+    if (f->setup->has_normal) {
+        read_role(f, QUELL_ROLE_DENOISING_NORMAL, y, 3, next);
+        for (uint32_t c = 0; c < 3; ++c) in.normal[c] = next[c] + region->rx;
+        next += 3;
+    }
+    if (f->setup->has_depth) {
+        read_role(f, QUELL_ROLE_DENOISING_DEPTH, y, 1, next);
+        in.depth = next[0] + region->rx;
+    }
+    ql_make_feature_row(f->job->kernels, f->setup, &in, num, rows[FEATURE_ROWS - 1], out);
+    memset(out + (size_t)num * QL_NUM_FEATURES, 0,
+           (size_t)(region->width - num) * QL_NUM_FEATURES * sizeof *out);
+}
+
+static size_t feature_scratch_floats(uint32_t image_width)
+{
+    return (size_t)FEATURE_ROWS * image_width;
+}
+
+static quell_status run_network(ql_job *job, ql_env *env, const ql_plan_set *set, const ql_feature_setup *setup,
+                                const ql_region *region, ql_net_maps *maps, ql_error *err)
+{
+    feature_job f = {.job = job, .set = set, .setup = setup, .region = region};
+    f.scratch_floats = feature_scratch_floats(job->frame->width);
+    f.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), f.scratch_floats * sizeof *f.scratch);
+    if (f.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of features");
+    float flags[QL_NUM_FLAGS];
+    ql_make_flags(setup, flags);
+    const quell_status status = ql_net_run(job->net, job->kernels, env, region->width, region->height, flags,
+                                           feature_row, &f, maps, err);
+    ql_free(env->memory, f.scratch);
+    return status;
+}
+
+/* ---- Filters ------------------------------------------------------------------------------------------------------ */
+
+static uint32_t net_group(int32_t group)
+{
+    return (uint32_t)(group == QL_GROUP_COLOR ? QL_GROUP_BEAUTY : group);
+}
+
+static float *worker_scratch(const batch *b, uint32_t worker)
+{
+    return b->scratch + worker * b->scratch_floats;
+}
+
+static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_t num, uint32_t worker, float *out)
+{
+    const batch *const b = user;
+    const uint32_t head = b->group == QL_GROUP_COLOR ? QL_HEAD_COLOR : part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, net_group(b->group), head, x, y, num,
+                       worker_scratch(b, worker), out);
+}
+
+static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker, float *out)
+{
+    const batch *const b = user;
+    ql_net_coarse_logits(b->job->net, b->job->kernels, b->maps, net_group(b->group), level, y,
+                         worker_scratch(b, worker), out);
+}
+
+/* weight[x] *= c / (c + epsilon), c the mean colour that the light was divided by. */
+static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
+{
+    const int32_t index = b->set->role_layer[b->color_role];
+    const ql_layer *const layer = &b->job->frame->layers[index];
+    const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
+    ql_read_fixed_row(layer, &b->job->scans[index], b->job->frame->width, y, colors, rows, NULL);
+    for (uint32_t x = 0; x < num; ++x) {
+        float sum = 0.0f;
+        for (uint32_t c = 0; c < colors; ++c) sum += rows[c][b->region->rx + x];
+        const float color = sum > 0.0f ? sum / (float)colors : 0.0f;
+        weight[x] *= color / (color + COLOR_EPSILON);
+    }
+}
+
+static void give_values(void *user, uint32_t region_y, const float *importance, uint32_t worker, float *const *planes)
+{
+    const batch *const b = user;
+    const ql_frame *const frame = b->job->frame;
+    const ql_region *const region = b->region;
+    const uint32_t y = region->ry + region_y, width = region->width;
+    if (y >= frame->height) {
+        for (uint32_t p = 0; p < b->num_planes; ++p) memset(planes[p], 0, width * sizeof *planes[p]);
+        return;
+    }
+    const uint32_t num = region->rx + width < frame->width ? width : frame->width - region->rx;
+    float *rows[VALUE_ROWS];
+    for (uint32_t i = 0; i < VALUE_ROWS; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * (frame->width + 16);
+    float *const valid = rows[VALUE_ROWS - 1], *const weight = rows[VALUE_ROWS - 2];
+    for (uint32_t x = 0; x < num; ++x) weight[x] = importance ? importance[x] : 1.0f;
+    if (b->color_role != QUELL_ROLE_OTHER) weigh_by_color(b, y, rows, weight, num);
+    for (uint32_t i = 0; i < b->num_members; ++i) {
+        const member *const m = &b->members[i];
+        ql_read_fixed_row(m->source, m->scan, frame->width, y, m->num_channels, rows, valid);
+        float *const w = planes[m->weight_plane];
+        for (uint32_t x = 0; x < num; ++x) w[x] = weight[x] * valid[region->rx + x];
+        for (uint32_t c = 0; c < m->num_channels; ++c) {
+            const float *const row = rows[c] + region->rx;
+            float *const out = planes[m->first_plane + c];
+            /* A zero weight must not meet the infinity of a bad alpha. */
+            for (uint32_t x = 0; x < num; ++x) out[x] = w[x] > 0.0f && isfinite(row[x]) ? w[x] * row[x] : 0.0f;
+        }
+    }
+    for (uint32_t p = 0; p < b->num_planes; ++p) memset(planes[p] + num, 0, (width - num) * sizeof *planes[p]);
+}
+
+static float *result_row(const batch *b, const member *m, uint32_t channel, uint32_t y)
+{
+    const ql_frame *const frame = b->job->frame;
+    return m->result + ((size_t)channel * frame->height + y) * frame->width;
+}
+
+/* Row y of a part of Combined: its result, or its pixels where it needed no filter; NULL where it is black. slot: which
+ * row of scratch may be used. */
+static const float *part_row(const batch *b, int32_t role, uint32_t channel, uint32_t y, uint32_t slot, uint32_t worker)
+{
+    const ql_frame *const frame = b->job->frame;
+    const int32_t index = b->set->role_layer[role];
+    if (index == QL_PLAN_NONE || b->job->scans[index].is_zero) return NULL;
+    const float *const result = b->job->results[index];
+    if (result) return result + ((size_t)channel * frame->height + y) * frame->width;
+    float *const row = worker_scratch(b, worker) + (size_t)slot * frame->width;
+    ql_layer_read_row(&frame->layers[index], frame->width, channel, y, row);
+    return row;
+}
+
+/* Combined = m * (sum of its denoised parts) + (1 - m) * itself filtered directly; m by the network, per pixel. */
+static void mix_combined(const batch *b, const member *m, uint32_t y, uint32_t x, uint32_t num, uint32_t worker)
+{
+    static const int32_t triples[3][3] = {
+        {QUELL_ROLE_DIFFUSE_DIRECT, QUELL_ROLE_DIFFUSE_INDIRECT, QUELL_ROLE_DIFFUSE_COLOR},
+        {QUELL_ROLE_GLOSSY_DIRECT, QUELL_ROLE_GLOSSY_INDIRECT, QUELL_ROLE_GLOSSY_COLOR},
+        {QUELL_ROLE_TRANSMISSION_DIRECT, QUELL_ROLE_TRANSMISSION_INDIRECT, QUELL_ROLE_TRANSMISSION_COLOR}};
+    static const int32_t added[4] = {QUELL_ROLE_VOLUME_DIRECT, QUELL_ROLE_VOLUME_INDIRECT, QUELL_ROLE_EMISSION,
+                                     QUELL_ROLE_ENVIRONMENT};
+    const ql_region *const region = b->region;
+    float logits[4 * QL_HEAD_SPAN], sum[2 * QL_HEAD_SPAN];
+    /* A fine row's span starts and ends on even pixels of the region. */
+    const uint32_t from = x - region->rx, half = from / 2, num_half = (from + num + 1) / 2 - half;
+    const uint32_t line = y - region->ry;
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, 0, QL_HEAD_MIX, half, line / 2, num_half,
+                       worker_scratch(b, worker), logits);
+    float *const mix = logits + (line % 2) * 2 * num_half;
+    b->job->kernels->sigmoid_row(mix, mix, 2 * num_half);
+    const float *const weight = mix + (from - 2 * half);
+    const int with_environment = b->set->combined == QL_COMBINED_PASSES_ENVIRONMENT;
+    for (uint32_t c = 0; c < MAX_COLORS; ++c) {
+        memset(sum, 0, num * sizeof *sum);
+        for (uint32_t t = 0; t < 3; ++t) {
+            const float *part[3];
+            for (uint32_t i = 0; i < 3; ++i) part[i] = part_row(b, triples[t][i], c, y, i, worker);
+            if (part[2] == NULL || (part[0] == NULL && part[1] == NULL)) continue;
+            for (uint32_t i = 0; i < num; ++i)
+                sum[i] += ((part[0] ? part[0][x + i] : 0.0f) + (part[1] ? part[1][x + i] : 0.0f)) * part[2][x + i];
+        }
+        for (uint32_t t = 0; t < (with_environment ? 4u : 3u); ++t) {
+            const float *const part = part_row(b, added[t], c, y, 0, worker);
+            for (uint32_t i = 0; part && i < num; ++i) sum[i] += part[x + i];
+        }
+        float *const out = result_row(b, m, c, y) + x;
+        for (uint32_t i = 0; i < num; ++i) out[i] = weight[i] * sum[i] + (1.0f - weight[i]) * out[i];
+    }
+}
+
+static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32_t num, uint32_t worker,
+                        const float *const *planes)
+{
+    const batch *const b = user;
+    const ql_region *const region = b->region;
+    const uint32_t y = region->ry + region_y;
+    const uint32_t from = region->rx + region_x, to = from + num;
+    const uint32_t x0 = from > region->x0 ? from : region->x0, x1 = to < region->x1 ? to : region->x1;
+    if (y < region->y0 || y >= region->y1 || x0 >= x1) return;
+    for (uint32_t i = 0; i < b->num_members; ++i) {
+        const member *const m = &b->members[i];
+        const float *const weight = planes[m->weight_plane];
+        for (uint32_t c = 0; c < m->num_channels; ++c) {
+            const float *const value = planes[m->first_plane + c];
+            float *const out = result_row(b, m, c, y);
+            /* Where nothing valid is in reach the pixel stays (results start as a cleaned copy of the input). */
+            for (uint32_t x = x0; x < x1; ++x)
+                if (weight[x - from] > MIN_WEIGHT) out[x] = value[x - from] / weight[x - from];
+        }
+        const int is_combined = b->set->combined != QL_COMBINED_DIRECT && b->group == QL_GROUP_BEAUTY &&
+                                m->layer == b->set->role_layer[QUELL_ROLE_COMBINED];
+        if (is_combined) mix_combined(b, m, y, x0, x1 - x0, worker);
+    }
+}
+
+static uint32_t num_filtered_channels(const ql_job *job, const ql_layer *layer, const ql_scan *scan, int32_t group)
+{
+    (void)job;
+    const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
+    const int has_alpha = layer->num_channels == 4 && group == QL_GROUP_BEAUTY && !scan->is_constant_alpha;
+    return colors + (has_alpha ? 1 : 0);
+}
+
+/* Fills the batch with layers of its group from *next on, as many as fit. */
+static void fill_batch(batch *b, uint32_t *next, int combined_only)
+{
+    const ql_plan *const plan = b->job->plan;
+    const int32_t combined = b->set->role_layer[QUELL_ROLE_COMBINED];
+    int has_shared_weight = 0;
+    uint32_t shared_weight = 0;
+    b->num_members = b->num_planes = 0;
+    for (; *next < plan->num_layers && b->num_members < MAX_BATCH; ++*next) {
+        const ql_plan_layer *const layer = &plan->layers[*next];
+        if (layer->action != QUELL_ACTION_DENOISED || layer->set != b->set_index || layer->group != b->group) continue;
+        if (combined_only != ((int32_t)*next == combined)) continue;
+        member m = {.layer = (int32_t)*next};
+        m.source = &b->job->frame->layers[layer->source];
+        m.scan = &b->job->scans[layer->source];
+        m.result = b->job->results[*next];
+        m.num_channels = num_filtered_channels(b->job, m.source, m.scan, b->group);
+        const int own_weight = m.scan->num_bad > 0 || !has_shared_weight;
+        if (b->num_planes + m.num_channels + (own_weight ? 1 : 0) > QL_PYRAMID_MAX_PLANES) return;
+        m.first_plane = b->num_planes;
+        b->num_planes += m.num_channels;
+        m.weight_plane = own_weight ? b->num_planes++ : shared_weight;
+        if (m.scan->num_bad == 0 && !has_shared_weight) {
+            has_shared_weight = 1;
+            shared_weight = m.weight_plane;
+        }
+        b->members[b->num_members++] = m;
+    }
+}
+
+static size_t batch_scratch_floats(uint32_t image_width)
+{
+    const size_t values = (size_t)VALUE_ROWS * (image_width + 16);
+    return values > QL_HEAD_BUFFER ? values : QL_HEAD_BUFFER;
+}
+
+static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error *err)
+{
+    const ql_pyramid_source source = {b, give_fine, give_coarse, give_values, take_result};
+    for (uint32_t next = 0; next < b->job->plan->num_layers;) {
+        fill_batch(b, &next, combined_only);
+        if (b->num_members == 0) continue;
+        const uint32_t width = b->region->width, height = b->region->height;
+        if (b->group == QL_GROUP_COLOR)
+            QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
+        else
+            QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
+    }
+    return QUELL_OK;
+}
+
+static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, const ql_region *region,
+                                const ql_net_maps *maps, ql_error *err)
+{
+    static const int32_t order[QL_NUM_GROUPS] = {QL_GROUP_COLOR,        QL_GROUP_DIFFUSE, QL_GROUP_GLOSSY,
+                                                 QL_GROUP_TRANSMISSION, QL_GROUP_VOLUME,  QL_GROUP_BEAUTY};
+    batch b = {.job = job, .region = region, .maps = maps, .set = &job->plan->sets[set_index]};
+    b.set_index = (int32_t)set_index;
+    b.scratch_floats = batch_scratch_floats(job->frame->width);
+    b.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), b.scratch_floats * sizeof *b.scratch);
+    if (b.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of layers");
+    const double from = env->progress_from, to = env->progress_to;
+    quell_status status = QUELL_OK;
+    for (uint32_t i = 0; i < QL_NUM_GROUPS + 1 && status == QUELL_OK; ++i) {
+        b.group = order[i < QL_NUM_GROUPS ? i : QL_NUM_GROUPS - 1];
+        b.color_role = QUELL_ROLE_OTHER;
+        if (b.group == QL_GROUP_DIFFUSE) b.color_role = QUELL_ROLE_DIFFUSE_COLOR;
+        if (b.group == QL_GROUP_GLOSSY) b.color_role = QUELL_ROLE_GLOSSY_COLOR;
+        if (b.group == QL_GROUP_TRANSMISSION) b.color_role = QUELL_ROLE_TRANSMISSION_COLOR;
+        env->progress_from = from + (to - from) * i / (QL_NUM_GROUPS + 1);
+        env->progress_to = from + (to - from) * (i + 1) / (QL_NUM_GROUPS + 1);
+        /* The last two rounds are the beauty group: Combined's parts first, then Combined. */
+        status = run_group(&b, env, i == QL_NUM_GROUPS, err);
+    }
+    env->progress_from = from;
+    env->progress_to = to;
+    ql_free(env->memory, b.scratch);
+    return status;
+}
+
+quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feature_setup *setup,
+                           const ql_region *region, ql_error *err)
+{
+    ql_net_maps maps;
+    const double start = ql_clock_seconds(), from = env->progress_from, to = env->progress_to;
+    env->progress_to = from + 0.6 * (to - from);
+    quell_status status = run_network(job, env, &job->plan->sets[set], setup, region, &maps, err);
+    const double middle = ql_clock_seconds();
+    env->progress_from = env->progress_to;
+    env->progress_to = to;
+    if (status == QUELL_OK) status = run_filters(job, env, set, region, &maps, err);
+    env->progress_from = from;
+    ql_net_maps_destroy(&maps, env->memory);
+    job->seconds_network += middle - start;
+    job->seconds_filter += ql_clock_seconds() - middle;
+    return status;
+}
+
+uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, const ql_frame *frame, uint32_t image_width,
+                              uint32_t width, uint32_t height, uint32_t num_workers)
+{
+    (void)frame;
+    const uint64_t features = num_workers * sizeof(float) *
+                              (feature_scratch_floats(image_width) + 4ull * width * QL_NUM_FEATURES);
+    const uint64_t network = ql_net_peak_bytes(net, width, height) + features;
+    /* Maps stay while the filters run; the widest batch has QL_PYRAMID_MAX_PLANES planes, most have seven. */
+    uint32_t planes = plan->num_denoised * 3 + 2;
+    if (planes > QL_PYRAMID_MAX_PLANES) planes = QL_PYRAMID_MAX_PLANES;
+    uint64_t maps = 0;
+    for (uint32_t l = 0; l < QL_NET_LEVELS; ++l)
+        maps += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
+    const uint64_t filters = maps + ql_pyramid_peak_bytes(width, height, planes, num_workers) +
+                             num_workers * sizeof(float) * batch_scratch_floats(image_width);
+    return network > filters ? network : filters;
+}
+
+uint32_t ql_region_halo(const ql_net *net)
+{
+    return ql_net_reach(net) + QL_PYRAMID_REACH;
+}

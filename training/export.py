@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a checkpoint as the weight file that the C library reads (docs/FORMATS.md).
+
+    python -m training.export --run NAME --out weights/quell-balanced.qwt --name quell-balanced
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from training.features import NUM_FEATURES, NUM_FLAGS
+from training.models.quell import Quell
+from training.train import config_from_json, run_folder
+
+MAGIC = b"QUELLWTS"
+VERSION = 1
+KIND = "quell-1"
+NAME_BYTES = 48
+ALIGNMENT = 64
+FLOAT, HALF, INT, TEXT = 0, 1, 2, 3
+
+
+def record(name: str, value: np.ndarray | str) -> tuple[str, int, tuple[int, ...], bytes]:
+    if isinstance(value, str):
+        data = value.encode()
+        return name, TEXT, (len(data),), data
+    kinds = {"float32": FLOAT, "float16": HALF, "int32": INT}
+    return name, kinds[value.dtype.name], value.shape, value.astype(value.dtype.newbyteorder("<")).tobytes()
+
+
+def write_weights(path: Path, values: dict[str, np.ndarray | str]) -> str:
+    """Writes the file and returns its SHA-256."""
+    records = [record(name, value) for name, value in values.items()]
+    offset = 24 + 88 * len(records)
+    table, body = b"", b""
+    for name, kind, shape, data in records:
+        padding = -(offset + len(body)) % ALIGNMENT
+        body += b"\0" * padding
+        dims = tuple(shape) + (1,) * (4 - len(shape))
+        encoded = name.encode().ljust(NAME_BYTES, b"\0")
+        table += encoded + struct.pack("<6I2Q", kind, len(shape), *dims, offset + len(body), len(data))
+        body += data
+    size = 24 + len(table) + len(body) + 32
+    content = MAGIC + struct.pack("<IIQ", VERSION, len(records), size) + table + body
+    content += hashlib.sha256(content).digest()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return hashlib.sha256(content).hexdigest()
+
+
+def tensors(model: Quell) -> dict[str, np.ndarray]:
+    """Weights in the file's order: convolutions [kh][kw][in][out], linear layers [in][out], biases as they are."""
+    out = {}
+    for name, value in model.net.state_dict().items():
+        name = name.removeprefix("heads.")
+        if value.ndim == 4:
+            value = value.permute(2, 3, 1, 0)
+        elif value.ndim == 2:
+            value = value.t()
+        out[name] = value.contiguous().numpy().astype(np.float16)
+    return out
+
+
+def load_run(name: str) -> tuple[Quell, int]:
+    """The averaged model of a run and its step."""
+    folder = run_folder(name)
+    config = config_from_json(json.loads((folder / "config.json").read_text())["config"])
+    model = Quell(config.model)
+    state = torch.load(folder / "checkpoint.pt", weights_only=True)
+    model.load_state_dict(state["ema"])
+    return model, state["step"]
+
+
+def round_to_half(model: Quell) -> Quell:
+    """The model as the file holds it."""
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.copy_(parameter.half().float())
+    return model
+
+
+def export(model: Quell, path: Path, name: str, description: str) -> str:
+    config = model.net.config
+    values: dict[str, np.ndarray | str] = {
+        "meta.kind": KIND,
+        "meta.name": name,
+        "meta.description": description,
+        "config.widths": np.array(config.widths, np.int32),
+        "config.down_convs": np.array(config.down_convs, np.int32),
+        "config.up_convs": np.array(config.up_convs, np.int32),
+        "config.inputs": np.array([NUM_FEATURES, NUM_FLAGS], np.int32),
+        **tensors(model),
+    }
+    return write_weights(path, values)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--name", required=True)
+    args = parser.parse_args()
+    model, step = load_run(args.run)
+    sha = export(model, args.out, args.name, f"kernel pyramid network, {step} training steps")
+    print(f"{args.out}: {args.out.stat().st_size} bytes, sha256 {sha}")
+
+
+if __name__ == "__main__":
+    main()
