@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turn one scene into frames: find cameras and regions worth having, render them."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from training import cycles
+from training.data.store import CHANNELS, pass_slice, write_atomic, write_render
+from training.scenes.core import ShotMaker, Stage, apply_shot, build_scene, rng_for
+from training.scenes.lights import scale_lights
+
+if TYPE_CHECKING:
+    from training.render import Config, Job
+
+#: Final resolutions that frames are cut out of, so that a pixel covers as much of the
+#: scene as in pictures that people render; the first is a whole small picture.
+_RESOLUTIONS = ((0, 0), (640, 360), (960, 540), (1280, 720), (1920, 1080))
+_PREVIEW_LONG_SIDE = 240
+_PREVIEW_SPP = 4
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera that was found good: what to render of it."""
+
+    attempt: int
+    resolution: tuple[int, int]
+    region: tuple[int, int, int, int] | None
+
+
+def fingerprint(scene: bpy.types.Scene) -> str:
+    """Return a digest of the built scene, to tell when a generator has changed."""
+    import hashlib
+
+    digest = hashlib.sha256()
+    for obj in sorted(scene.objects, key=lambda o: o.name):
+        if obj.type == "CAMERA":
+            continue
+        size = len(obj.data.vertices) if obj.type == "MESH" else 0
+        matrix = [round(v, 3) + 0.0 for row in obj.matrix_world for v in row]
+        digest.update(f"{obj.name} {size} {matrix}".encode())
+    for material in sorted(bpy.data.materials, key=lambda m: m.name):
+        nodes = len(material.node_tree.nodes) if material.use_nodes else 0
+        digest.update(f"{material.name} {nodes}".encode())
+    return digest.hexdigest()[:16]
+
+
+def render_scene(config: Config, job: Job, revision: str, note: Path) -> None:
+    """Render all missing frames of a scene; whatever goes wrong is recorded, not raised."""
+    from training.render import missing, reject
+
+    cameras = [c for c in range(config.cameras) if missing(config, job, c)]
+    try:
+        stage, maker = build_scene(job.family, job.seed)
+        cycles.configure(stage.scene)
+        mark = fingerprint(stage.scene)
+        gain: float | None = None
+        for camera in cameras:
+            note.touch()
+            gain = render_frame(config, job, camera, stage, maker, mark, gain, revision, note)
+    except Exception as error:  # noqa: BLE001 - one broken scene must not end the night's run
+        traceback.print_exc()
+        for camera in cameras:
+            if missing(config, job, camera):
+                reject(config, job, camera, f"{type(error).__name__}: {error}")
+
+
+def render_frame(
+    config: Config,
+    job: Job,
+    camera: int,
+    stage: Stage,
+    maker: ShotMaker,
+    mark: str,
+    gain: float | None,
+    revision: str,
+    note: Path,
+) -> float | None:
+    """Render one frame; return the light gain of the scene so far (None: not chosen yet)."""
+    from training.render import cycles_seed, frame_folder, missing, reject
+
+    folder = frame_folder(config, job, camera)
+    meta_path = folder / "meta.json"
+    if meta_path.exists():
+        meta = json.loads(meta_path.read_text(encoding="utf-8"))
+        if meta["fingerprint"] != mark:
+            # Renders of two different pictures in one folder would poison the data.
+            print(f"{folder}: the generator has changed, frame left as it is", flush=True)
+            reject(config, job, camera, "generator changed")
+            return gain
+        if gain is None:
+            gain = meta["light_gain"]
+            scale_lights(stage.scene, gain)
+        view = View(meta["attempt"], tuple(meta["resolution"]), tuple(meta["region"]))
+        apply_shot(stage.scene, maker(shot_rng(job, camera, view.attempt)))
+    else:
+        found, gain, reason = find_view(config, job, camera, stage, maker, gain)
+        if found is None:
+            reject(config, job, camera, reason)
+            return gain
+        view = found
+        meta = {
+            "family": job.family,
+            "seed": job.seed,
+            "camera": camera,
+            "attempt": view.attempt,
+            "blender": bpy.app.version_string,
+            "resolution": view.resolution,
+            "region": view.region,
+            "channels": CHANNELS,
+            "light_gain": gain,
+            "brightness": stage.brightness,
+            "motion_blur": stage.scene.render.use_motion_blur,
+            "depth_of_field": stage.scene.camera.data.dof.use_dof,
+            "film_transparent": stage.scene.render.film_transparent,
+            "fingerprint": mark,
+            "revision": revision,
+            "seconds": {},
+            "cycles_seeds": {},
+        }
+    cycles.set_view(stage.scene, view.resolution, view.region)
+    cycles.configure(stage.scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = missing(config, job, camera)
+    pending = sum(spp for _, spp in wanted)
+    for name, spp in wanted:
+        seed = cycles_seed(job, camera, name)
+        start = time.process_time()
+        pixels, seconds = cycles.render(stage.scene, spp, seed)
+        if not np.isfinite(pixels).all():
+            reject(config, job, camera, f"non-finite values in {name}")
+            return gain
+        meta["seconds"][name] = round(time.process_time() - start, 2)
+        meta["cycles_seeds"][name] = seed
+        pending -= spp
+        # The first render of a view includes the scene's preparation; judge by a later one.
+        if spp >= 2 and seconds / spp * pending > config.limit:
+            reject(config, job, camera, f"too slow: {seconds:.1f} s at {spp} spp")
+            for path in folder.glob("*"):
+                path.unlink()
+            folder.rmdir()
+            return gain
+        write_atomic(meta_path, json.dumps(meta, indent=1).encode())
+        write_render(folder / f"{name}.qfr", pixels, spp)
+        note.touch()
+    return gain
+
+
+def shot_rng(job: Job, camera: int, attempt: int) -> random.Random:
+    """Return the randomness of one camera attempt."""
+    return rng_for(job.family, job.seed, "camera", camera, attempt)
+
+
+def find_view(
+    config: Config, job: Job, camera: int, stage: Stage, maker: ShotMaker, gain: float | None
+) -> tuple[View | None, float | None, str]:
+    """Try cameras until a preview shows a region worth rendering."""
+    from training.render import _CAMERA_TRIES
+
+    scene, reason = stage.scene, "no camera"
+    for attempt in range(_CAMERA_TRIES):
+        rng = shot_rng(job, camera, attempt)
+        apply_shot(scene, maker(rng))
+        view_rng = rng_for(job.family, job.seed, "view", camera, attempt)
+        index = view_rng.choice((0, 1, 1, 1, 2, 2, 3, 4))
+        resolution = _RESOLUTIONS[index] if index else (config.size, config.size)
+        factor = min(1.0, _PREVIEW_LONG_SIDE / max(resolution))
+        small = tuple(max(16, round(v * factor)) for v in resolution)
+        cycles.set_view(scene, small, None)
+        preview, _ = cycles.render(scene, _PREVIEW_SPP, 12345 + attempt)
+        reason = whole_picture_fault(preview)
+        if reason:
+            continue
+        if gain is None:
+            gain = choose_gain(preview, stage.brightness)
+            if gain is None:
+                reason = "cannot be exposed"
+                continue
+            scale_lights(scene, gain)
+            preview = scaled(preview, gain)
+        region, reason = choose_region(preview, resolution, config.size, view_rng)
+        if region is not None:
+            return View(attempt, resolution, region), gain, ""
+    return None, gain, reason
+
+
+_LIT = tuple(
+    i
+    for i, name in enumerate(CHANNELS)
+    if name.split(".")[0] in ("Combined", "Emit", "Env") and not name.endswith(".A")
+)
+
+
+def scaled(preview: np.ndarray, gain: float) -> np.ndarray:
+    """Return a preview as it will look once its lights are multiplied."""
+    out = preview.copy()
+    out[list(_LIT)] *= gain
+    return out
+
+
+def luminance(pixels: np.ndarray) -> np.ndarray:
+    """Return the luminance of [3,H,W]."""
+    return 0.2126 * pixels[0] + 0.7152 * pixels[1] + 0.0722 * pixels[2]
+
+
+def smooth(image: np.ndarray, size: int = 4) -> np.ndarray:
+    """Return block means: noise of a few samples must not look like detail."""
+    h, w = (n - n % size for n in image.shape)
+    return image[:h, :w].reshape(h // size, size, w // size, size).mean((1, 3))
+
+
+def whole_picture_fault(preview: np.ndarray) -> str:
+    """Say what makes the whole view useless, "" if nothing does."""
+    depth = preview[pass_slice("Depth")][0]
+    hit = depth > 0
+    if hit.mean() < 0.15 and not preview[pass_slice("VolumeDir")].any():
+        return "nothing to see"
+    if hit.any() and (depth[hit] < 0.12).mean() > 0.35:
+        return "camera too close to something"
+    if not np.isfinite(preview).all():
+        return "non-finite preview"
+    if luminance(preview[pass_slice("Combined")]).max() <= 1e-6:
+        return "black"
+    return ""
+
+
+def choose_gain(preview: np.ndarray, brightness: float | None) -> float | None:
+    """Return the factor that brings the mean tone-mapped luminance to what is wanted."""
+    if brightness is None:
+        return 1.0
+    light = smooth(luminance(preview[pass_slice("Combined")]))
+    low, high = math.log(1 / 512), math.log(512)
+    for _ in range(40):
+        middle = (low + high) / 2
+        mean = float(np.mean(tone(light * math.exp(middle))))
+        low, high = (middle, high) if mean < brightness else (low, middle)
+    gain = math.exp((low + high) / 2)
+    if not 1 / 400 < gain < 400:
+        return None
+    # Quantised, so that rounding in the preview cannot make two machines differ.
+    return 2.0 ** (round(4 * math.log2(gain)) / 4)
+
+
+def tone(light: np.ndarray) -> np.ndarray:
+    """Map scene light to 0..1 roughly as a view transform does."""
+    return (light / (1.0 + light)) ** (1 / 1.8)
+
+
+def choose_region(
+    preview: np.ndarray, resolution: tuple[int, int], size: int, rng: random.Random
+) -> tuple[tuple[int, int, int, int] | None, str]:
+    """Pick one of the regions that are not flat, black, burnt out or sky; None with a reason."""
+    width, height = resolution
+    ph, pw = preview.shape[1:]
+    if (width, height) == (size, size):
+        candidates = [(0, 0)]
+    else:
+        candidates = [(rng.randint(0, width - size), rng.randint(0, height - size)) for _ in range(24)]
+    scored, reasons = [], []
+    for x, y in candidates:
+        x0, y0 = x * pw // width, y * ph // height
+        x1, y1 = max(x0 + 8, (x + size) * pw // width), max(y0 + 8, (y + size) * ph // height)
+        score, reason = region_score(preview[:, y0:y1, x0:x1])
+        if reason:
+            reasons.append(reason)
+        else:
+            scored.append(((x, y, size, size), score))
+    if not scored:
+        return None, f"region: {reasons[0]}"
+    # Not always the very best: plain regions are part of every picture too.
+    return rng.choices([r for r, _ in scored], [s for _, s in scored])[0], ""
+
+
+def region_score(part: np.ndarray) -> tuple[float, str]:
+    """Return how much light changes within a region, or why it is not worth rendering."""
+    light = smooth(luminance(part[pass_slice("Combined")]), 2)
+    toned = tone(np.maximum(light, 0.0))
+    hit = part[pass_slice("Depth")][0] > 0
+    shine = smooth(luminance(part[pass_slice("Emit")] + part[pass_slice("Env")]), 2)
+    if toned.mean() < 0.03:
+        return 0.0, "black"
+    if (toned > 0.93).mean() > 0.4:
+        return 0.0, "burnt out"
+    if hit.mean() < 0.2 and not part[pass_slice("VolumeDir")].any():
+        return 0.0, "empty sky"
+    if (shine > 0.6 * light).mean() > 0.75:
+        return 0.0, "all emission"
+    albedo = luminance(np.clip(part[pass_slice("Denoising Albedo")], 0.0, 1.0))
+    detail = float(toned.std()) + 0.5 * float(smooth(albedo, 2).std())
+    detail += 0.25 * float(part[pass_slice("Normal")].std((1, 2)).mean())
+    if detail < 0.11:
+        return 0.0, "flat"
+    return detail**2, ""
