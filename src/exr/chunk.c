@@ -242,7 +242,10 @@ quell_status ql_exr_encode(const ql_exr_codec *codec, ql_exr_encoder *encoder, u
     encoder->pipeline.encoding_user_data = NULL;
     if (job.error.status != QUELL_OK) return ql_fail(err, job.error.status, "%s", job.error.text);
     if (code != EXR_ERR_SUCCESS) return ql_exr_fail(codec->messages, code, QUELL_ERR_FILE_WRITE, where, err);
-    *data = encoder->pipeline.compressed_buffer;
-    *num_bytes = encoder->pipeline.compressed_bytes;
+    /* A chunk of the full size is read as raw lines, whatever the codec. B44 among others may come out at that size,
+     * ordered by channel: such chunks must be stored raw. */
+    const int is_smaller = encoder->pipeline.compressed_bytes < job.num_bytes;
+    *data = is_smaller ? encoder->pipeline.compressed_buffer : encoder->pipeline.packed_buffer;
+    *num_bytes = is_smaller ? encoder->pipeline.compressed_bytes : job.num_bytes;
     return QUELL_OK;
 }
