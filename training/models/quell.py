@@ -130,11 +130,15 @@ def importance_weight(logits: Tensor) -> Tensor:
     return torch.sigmoid(logits.float().clamp(-IMPORTANCE_RANGE, IMPORTANCE_RANGE))
 
 
-def filter_layers(logits: dict[str, Tensor], layers: Layers) -> Denoised:
-    """Applies the predicted kernels to the frame's layers and puts Combined together again."""
+def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | None = None) -> Denoised:
+    """Applies the predicted kernels to the frame's layers and puts Combined together again.
+
+    inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside."""
     n = layers.beauty.shape[0]
+    if inside is None:
+        inside = torch.ones_like(layers.beauty[:, :1])
     levels, importance = group_levels(logits, ("beauty",))
-    weight = importance_weight(importance)
+    weight = importance_weight(importance) * inside
     channels = [layers.beauty] if layers.light is None else [layers.beauty, layers.emission]
     values = torch.cat([torch.cat(channels, 1) * weight, weight], 1)
     filtered = filter_pyramid(values, levels)
@@ -148,15 +152,14 @@ def filter_layers(logits: dict[str, Tensor], layers: Layers) -> Denoised:
     scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
     validity = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1)
     validity = validity.transpose(0, 1).flatten(0, 1)  # [4n,1,h,w]: groups outermost, as in group_levels
-    weight = importance_weight(importance) * validity
+    weight = importance_weight(importance) * validity * inside.repeat(len(groups), 1, 1, 1)
     light = layers.light.transpose(0, 1).flatten(0, 1)
     values = filter_pyramid(torch.cat([light * weight, weight], 1), levels)
     light = values[:, :3] / values[:, 3:].clamp_min(1e-20)
     light = light.view(len(groups), n, *light.shape[1:]).transpose(0, 1)
 
-    ones = torch.ones_like(layers.beauty[:, :1])
-    color = apply_kernel(torch.cat([layers.color.flatten(1, 2), ones], 1), logits["color_0"], 2, 0)
-    color = (color[:, :-1] / color[:, -1:]).view_as(layers.color)
+    color = apply_kernel(torch.cat([layers.color.flatten(1, 2), inside], 1), logits["color_0"], 2, 0)
+    color = (color[:, :-1] / color[:, -1:].clamp_min(1e-20)).view_as(layers.color)
 
     emission = filtered[:, 3:6]
     rebuilt = (light[:, :3] * color).sum(1) + light[:, 3] + emission
