@@ -1,0 +1,344 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Every kernel of every instruction set of this machine against its C twin: random shapes down to one pixel and every
+ * tail, ordinary and extreme values, odd strides. Each buffer ends at a page that may not be touched, so that a value
+ * read or written too far ends the program. No cmocka: it also runs cross compiled.
+ *
+ * QUELL_SEED=N repeats a run; --bench prints ns per pixel.
+ */
+#define _DEFAULT_SOURCE
+#include "base/cpu.h"
+#include "base/clock.h"
+#include "kernels/kernels.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+enum { MAX_BLOCKS = 64, ROUNDS = 60 };
+
+static uint64_t seed_state = 1;
+static unsigned num_checks, num_failures;
+
+static struct {
+    void *base;
+    size_t bytes;
+} blocks[MAX_BLOCKS];
+static size_t num_blocks;
+
+static uint32_t random_bits(void) /* splitmix64 */
+{
+    uint64_t z = (seed_state += 0x9e3779b97f4a7c15u);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return (uint32_t)((z ^ (z >> 31)) >> 32);
+}
+
+static uint32_t random_below(uint32_t n)
+{
+    return random_bits() % n;
+}
+
+static float random_float(float low, float high)
+{
+    return low + (high - low) * (float)(random_bits() >> 8) / 16777216.0f;
+}
+
+/* num floats whose last one is followed by a forbidden page; freed by release_all. */
+static float *guarded(size_t num)
+{
+    const size_t page = (size_t)sysconf(_SC_PAGESIZE);
+    const size_t bytes = num * sizeof(float), pages = (bytes + page - 1) / page + 1;
+    char *const base = mmap(NULL, (pages + 1) * page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (base == MAP_FAILED || num_blocks == MAX_BLOCKS) abort();
+    if (mprotect(base + pages * page, page, PROT_NONE) != 0) abort();
+    blocks[num_blocks].base = base;
+    blocks[num_blocks++].bytes = (pages + 1) * page;
+    return (float *)(void *)(base + pages * page - bytes);
+}
+
+static void release_all(void)
+{
+    for (size_t i = 0; i < num_blocks; ++i) munmap(blocks[i].base, blocks[i].bytes);
+    num_blocks = 0;
+}
+
+/* kind 0: ordinary; 1: radiances over many stops; 2: extremes that a frame may hold once bad pixels are masked. */
+static void fill(float *p, size_t num, int kind)
+{
+    static const float extremes[] = {0.0f, 1e-42f, 1e-38f, 6e-8f, 1.0f, 65504.0f, 1e9f, 1e20f};
+    for (size_t i = 0; i < num; ++i) {
+        if (kind == 0) p[i] = random_float(-1.0f, 1.0f);
+        else if (kind == 1) p[i] = exp2f(random_float(-20.0f, 20.0f));
+        else p[i] = extremes[random_below(sizeof extremes / sizeof *extremes)];
+    }
+}
+
+/* Error bounds: |a - b| <= relative * scale, scale being the sum of the magnitudes that went into the value. */
+static void expect(const char *what, const char *isa, const float *got, const float *want, const float *scale, size_t num,
+                   double relative)
+{
+    ++num_checks;
+    for (size_t i = 0; i < num; ++i) {
+        const double error = fabs((double)got[i] - (double)want[i]), bound = relative * (double)scale[i] + 1e-37;
+        if (!(error <= bound)) {
+            if (++num_failures < 20)
+                printf("%s %s: value %zu of %zu is %.9g, C gives %.9g (error %.3g, bound %.3g)\n", isa, what, i, num,
+                       (double)got[i], (double)want[i], error, bound);
+            return;
+        }
+    }
+}
+
+static void test_conv(const ql_kernels *c, const ql_kernels *k)
+{
+    static const uint32_t channels[] = {1, 3, 16, 28, 48};
+    const uint32_t num_rows = 1 + random_below(3), in = channels[random_below(5)], num_pixels = 1 + random_below(40);
+    const uint32_t num_out = QL_BLOCK * (1 + random_below(6)), num_k = num_rows * in;
+    const uint32_t stride = num_rows == 2 ? num_k : in;
+    const size_t row = (size_t)(num_pixels - 1) * stride + num_k, num = (size_t)num_pixels * num_out;
+    float *const weights = guarded((size_t)num_rows * num_k * num_out), *const bias = guarded(num_out);
+    float *const add = guarded(num), *const a = guarded(num), *const b = guarded(num), *const scale = guarded(num);
+    ql_conv_row conv = {.weights = weights, .bias = bias, .num_rows = num_rows, .num_k = num_k, .stride = stride};
+    const int kind = (int)random_below(2);
+    for (uint32_t r = 0; r < num_rows; ++r) {
+        float *const p = guarded(row);
+        fill(p, row, kind);
+        conv.rows[r] = p;
+    }
+    fill(weights, (size_t)num_rows * num_k * num_out, 0);
+    fill(bias, num_out, 0);
+    fill(add, num, kind);
+    conv.add = random_below(2) ? add : NULL;
+    conv.relu = (int32_t)random_below(2);
+    conv.num_pixels = num_pixels;
+    conv.num_out = num_out;
+    conv.out = a;
+    k->conv_row(&conv);
+    conv.out = b;
+    c->conv_row(&conv);
+    for (uint32_t x = 0; x < num_pixels; ++x)
+        for (uint32_t o = 0; o < num_out; ++o) {
+            float sum = fabsf(bias[o]) + (conv.add ? fabsf(add[x * num_out + o]) : 0.0f);
+            for (uint32_t r = 0; r < num_rows; ++r)
+                for (uint32_t i = 0; i < num_k; ++i) sum += fabsf(conv.rows[r][x * stride + i]);
+            scale[x * num_out + o] = sum;
+        }
+    expect("conv_row", k->name, a, b, scale, num, 4e-7 * 4);
+}
+
+/* Planes with a margin, so that taps outside a row are inside memory; returns (0, 0) of a plane. */
+static float *plane(uint32_t width, uint32_t height, uint32_t margin, int kind)
+{
+    const size_t stride = width + 2 * margin, num = stride * (height + 2 * margin);
+    float *const p = guarded(num);
+    fill(p, num, kind);
+    for (size_t i = 0; i < num; ++i) p[i] = fabsf(p[i]);
+    return p + margin * stride + margin;
+}
+
+static void largest(const float *p, ptrdiff_t stride, uint32_t width, uint32_t height, uint32_t margin, float *scale,
+                    size_t num)
+{
+    float top = 0.0f;
+    for (ptrdiff_t y = -(ptrdiff_t)margin; y < (ptrdiff_t)(height + margin); ++y)
+        for (ptrdiff_t x = -(ptrdiff_t)margin; x < (ptrdiff_t)(width + margin); ++x)
+            top = fmaxf(top, fabsf(p[y * stride + x]));
+    for (size_t i = 0; i < num; ++i) scale[i] = top;
+}
+
+static void test_filter(const ql_kernels *c, const ql_kernels *k)
+{
+    enum { CHANNELS = 3 };
+    const uint32_t width = 1 + random_below(50);
+    const int kind = (int)random_below(3);
+    float *const logits = guarded((size_t)25 * width), *const scale = guarded(width);
+    const float *in[CHANNELS];
+    float *a[CHANNELS], *b[CHANNELS];
+    fill(logits, (size_t)25 * width, 0);
+    const float spread = random_below(4) ? 8.0f : 2000.0f;
+    for (size_t i = 0; i < (size_t)25 * width; ++i) logits[i] *= spread;
+    for (int i = 0; i < CHANNELS; ++i) {
+        in[i] = plane(width, 1, 2, kind);
+        a[i] = guarded(width);
+        b[i] = guarded(width);
+    }
+    ql_filter_row filter = {logits, width, in, (ptrdiff_t)width + 4, a, CHANNELS, width};
+    k->filter_row(&filter);
+    filter.out = b;
+    c->filter_row(&filter);
+    for (int i = 0; i < CHANNELS; ++i) {
+        largest(in[i], (ptrdiff_t)width + 4, width, 1, 2, scale, width);
+        expect("filter_row", k->name, a[i], b[i], scale, width, spread > 100.0f ? 4e-4 : 2e-6);
+    }
+}
+
+static void test_upsample(const ql_kernels *c, const ql_kernels *k)
+{
+    enum { CHANNELS = 2 };
+    const uint32_t width = 2 * (1 + random_below(30));
+    const int kind = (int)random_below(3);
+    float *const logits = guarded((size_t)9 * width), *const blend = guarded(width), *const scale = guarded(width);
+    const float *in[CHANNELS];
+    float *a[CHANNELS], *b[CHANNELS];
+    fill(logits, (size_t)9 * width, 0);
+    fill(blend, width, 0);
+    for (size_t i = 0; i < width; ++i) blend[i] *= 10.0f;
+    for (int i = 0; i < CHANNELS; ++i) {
+        in[i] = plane(width / 2, 1, 1, kind);
+        a[i] = guarded(width);
+        b[i] = guarded(width);
+        fill(a[i], width, kind);
+        memcpy(b[i], a[i], width * sizeof(float));
+    }
+    float *const before = guarded(width);
+    memcpy(before, a[0], width * sizeof(float));
+    ql_upsample_row up = {logits, width, blend, in, (ptrdiff_t)width / 2 + 2, a, CHANNELS, width};
+    k->upsample_row(&up);
+    up.out = b;
+    c->upsample_row(&up);
+    for (int i = 0; i < CHANNELS; ++i) {
+        largest(in[i], (ptrdiff_t)width / 2 + 2, width / 2, 1, 1, scale, width);
+        for (size_t x = 0; x < width; ++x) scale[x] += fabsf(b[i][x]) + fabsf(before[x]);
+        expect("upsample_row", k->name, a[i], b[i], scale, width, 2e-6);
+    }
+}
+
+static void test_partition(const ql_kernels *c, const ql_kernels *k)
+{
+    const uint32_t cells = 1 + random_below(40), width = 2 * cells;
+    const int kind = (int)random_below(3);
+    float *const logits = guarded((size_t)2 * width), *const in = guarded((size_t)2 * width);
+    float *a[1] = {guarded(cells)}, *b[1] = {guarded(cells)}, *const scale = guarded(cells);
+    const float *inputs[1] = {in};
+    fill(logits, (size_t)2 * width, 0);
+    fill(in, (size_t)2 * width, kind);
+    ql_partition_row partition = {{logits, logits + width}, inputs, (ptrdiff_t)width, a, 1, cells};
+    k->partition_row(&partition);
+    partition.out = b;
+    c->partition_row(&partition);
+    for (uint32_t x = 0; x < cells; ++x) {
+        scale[x] = 0.0f;
+        for (uint32_t i = 0; i < 4; ++i) scale[x] += fabsf(in[(i / 2) * width + 2 * x + i % 2]);
+    }
+    expect("partition_row", k->name, a[0], b[0], scale, cells, 2e-6);
+}
+
+static void test_rows(const ql_kernels *c, const ql_kernels *k)
+{
+    const uint32_t width = 1 + random_below(50);
+    float *const in = guarded(width), *const a = guarded(width), *const b = guarded(width), *const one = guarded(width);
+    for (uint32_t x = 0; x < width; ++x) one[x] = 1.0f;
+    fill(in, width, 0);
+    for (uint32_t x = 0; x < width; ++x) in[x] *= 30.0f;
+    k->sigmoid_row(in, a, width);
+    c->sigmoid_row(in, b, width);
+    expect("sigmoid_row", k->name, a, b, one, width, 4e-7);
+    for (uint32_t x = 0; x < width; ++x)
+        one[x] = 1.0f / (1.0f + expf(-fmaxf(-12.0f, fminf(12.0f, in[x]))));
+    expect("sigmoid_row against libm", k->name, a, one, one, width, 4e-6);
+
+    fill(in, width, (int)random_below(3));
+    const float scale = exp2f((float)random_below(20) - 10.0f);
+    k->tone_row(in, scale, a, width);
+    c->tone_row(in, scale, b, width);
+    for (uint32_t x = 0; x < width; ++x) one[x] = 50.0f;
+    expect("tone_row", k->name, a, b, one, width, 4e-7);
+    for (uint32_t x = 0; x < width; ++x) b[x] = (float)(0.5 * log1p(8.0 * (double)fmaxf(0.0f, in[x] * scale)));
+    expect("tone_row against libm", k->name, a, b, one, width, 4e-7);
+
+    const uint32_t planes = 1 + random_below(40), group = 1 + random_below(2), stride = planes * group + random_below(9);
+    float *const from = guarded((size_t)(width - 1) * stride + planes * group), *const wide = guarded((size_t)planes * group * width);
+    float *const want = guarded((size_t)planes * group * width);
+    fill(from, (size_t)(width - 1) * stride + planes * group, 0);
+    k->planes_row(from, stride, planes, group, wide, (size_t)group * width, width);
+    c->planes_row(from, stride, planes, group, want, (size_t)group * width, width);
+    ++num_checks;
+    if (memcmp(wide, want, (size_t)planes * group * width * sizeof *want) != 0) {
+        ++num_failures;
+        printf("%s planes_row: %u planes in groups of %u over %u pixels differ\n", k->name, planes, group, width);
+    }
+}
+
+/* A value must not depend on where in a row it stands: tiles would show. Compares a row with its tail computed alone. */
+static void test_position(const ql_kernels *k)
+{
+    enum { IN = 16, OUT = 96, PIXELS = 37 };
+    float *const in = guarded(IN * PIXELS), *const weights = guarded(IN * OUT), *const bias = guarded(OUT);
+    float *const a = guarded(OUT * PIXELS), *const b = guarded(OUT * PIXELS);
+    fill(in, IN * PIXELS, 0);
+    fill(weights, IN * OUT, 0);
+    fill(bias, OUT, 0);
+    const uint32_t skip = random_below(PIXELS);
+    ql_conv_row conv = {{in}, weights, bias, NULL, a, 1, IN, IN, PIXELS, OUT, 1};
+    k->conv_row(&conv);
+    conv.rows[0] = in + skip * IN;
+    conv.out = b;
+    conv.num_pixels = PIXELS - skip;
+    k->conv_row(&conv);
+    ++num_checks;
+    if (memcmp(a + skip * OUT, b, (size_t)(PIXELS - skip) * OUT * sizeof *a) != 0) {
+        ++num_failures;
+        printf("%s conv_row: bits depend on the position in the row\n", k->name);
+    }
+}
+
+static void bench(const ql_kernels *k)
+{
+    enum { IN = 48, PIXELS = 480 };
+    float *const in = guarded(3 * IN * (PIXELS + 2)), *const weights = guarded(9 * IN * IN), *const bias = guarded(IN);
+    float *const out = guarded(IN * PIXELS);
+    fill(in, 3 * IN * (PIXELS + 2), 0);
+    fill(weights, 9 * IN * IN, 0);
+    fill(bias, IN, 0);
+    const float *const row = in;
+    const ql_conv_row conv = {{row, row + IN * (PIXELS + 2), row + 2 * IN * (PIXELS + 2)}, weights, bias, NULL, out,
+                              3, 3 * IN, IN, PIXELS, IN, 1};
+    const int rounds = strcmp(k->name, "c") == 0 ? 2 : 100;
+    k->conv_row(&conv);
+    const double start = ql_clock_seconds();
+    for (int i = 0; i < rounds; ++i) k->conv_row(&conv);
+    const double seconds = (ql_clock_seconds() - start) / rounds;
+    printf("%-8s conv 3x3, 48 to 48 channels: %6.1f ns per pixel, %5.1f G multiply-adds/s\n", k->name,
+           seconds / PIXELS * 1e9, 9.0 * IN * IN * PIXELS / seconds * 1e-9);
+    release_all();
+}
+
+int main(int argc, char **argv)
+{
+    static const uint32_t sets[] = {0, QL_CPU_AVX2, QL_CPU_AVX2 | QL_CPU_AVX512, QL_CPU_NEON};
+    const uint32_t have = ql_cpu_probe();
+    const char *const seed = getenv("QUELL_SEED");
+    if (seed) seed_state = strtoull(seed, NULL, 10);
+    printf("seed %llu\n", (unsigned long long)seed_state);
+    ql_kernels c, k;
+    ql_kernels_init(&c, 0);
+    for (size_t i = 0; i < sizeof sets / sizeof *sets; ++i) {
+        if ((have & sets[i]) != sets[i]) continue;
+        ql_kernels_init(&k, sets[i]);
+        if (argc > 1 && strcmp(argv[1], "--bench") == 0) {
+            bench(&k);
+            continue;
+        }
+        for (int round = 0; round < ROUNDS; ++round) {
+            test_conv(&c, &k);
+            release_all();
+            test_filter(&c, &k);
+            release_all();
+            test_upsample(&c, &k);
+            release_all();
+            test_partition(&c, &k);
+            release_all();
+            test_rows(&c, &k);
+            release_all();
+            test_position(&k);
+            release_all();
+        }
+        printf("%s: done\n", k.name);
+    }
+    printf("%u checks, %u failures\n", num_checks, num_failures);
+    return num_failures ? 1 : 0;
+}
