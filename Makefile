@@ -156,7 +156,12 @@ $(OBJ)/%.o: %.cpp $(OBJ)/flags
 $(OBJ)/src/exr/%.o: EXTRA_FLAGS := -isystem $(OPENEXR)/include
 $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/exr/*.c)): | $(OPENEXR_STAMP)
 $(OBJ)/src/models/builtin.o: $(WEIGHTS)
-$(OBJ)/src/cli/%.o: EXTRA_FLAGS = $(shell pkg-config --cflags libcjson)
+# For --version alone; quell.h does not speak of OpenEXR.
+openexr_version = $(shell sed -n 's/^\#define OPENEXR_VERSION_STRING //p' $(OPENEXR)/include/OpenEXR/OpenEXRConfig.h)
+$(OBJ)/src/cli/main.o: EXTRA_FLAGS = -DCLI_OPENEXR_VERSION='$(openexr_version)'
+$(OBJ)/src/cli/main.o: | $(OPENEXR_STAMP)
+$(OBJ)/src/cli/json.o $(OBJ)/src/cli/denoise.o $(OBJ)/src/cli/inspect.o $(OBJ)/src/cli/compare.o: EXTRA_FLAGS = \
+	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags libcjson))
 $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp)): EXTRA_FLAGS = \
 	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags OpenImageIO)) -isystem /usr/include/Imath
 $(OBJ)/tests/%.o: EXTRA_FLAGS := -Itests -isystem $(OPENEXR)/include -UNDEBUG
