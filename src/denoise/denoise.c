@@ -55,7 +55,8 @@ static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
             flags |= QL_SCAN_LIMIT;
         /* What the camera sees of emitters and sky is no firefly. */
         if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) flags = 0;
-        if ((int32_t)i == set->beauty || (int32_t)i == depth) flags |= QL_SCAN_BINS;
+        if ((int32_t)i == set->beauty) flags |= QL_SCAN_BINS;
+        if ((int32_t)i == depth) flags |= QL_SCAN_BINS | QL_SCAN_DEPTH;
         const int by_emission = set->has_light && emission != QL_PLAN_NONE && (int32_t)i == set->beauty;
         QL_TRY(ql_scan_layer(w->env, layer, by_emission ? &w->frame->layers[emission] : NULL, num_colors(layer),
                              w->frame->width, w->frame->height, flags, &w->scans[i], err));

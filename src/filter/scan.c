@@ -112,7 +112,8 @@ static void fill_bins(const scan_job *job, uint32_t task, const float *luminance
         uint32_t count = 0;
         for (uint32_t r = 0; r < num_rows; ++r)
             for (uint32_t x = x0; x < x1; ++x) {
-                const float value = luminance[r * stride + x];
+                float value = luminance[r * stride + x];
+                if (job->flags & QL_SCAN_DEPTH) value = value > 0.0f && value < QL_BACKGROUND ? value : 0.0f;
                 if (value == -INFINITY) continue;
                 sum += (double)value;
                 ++count;
