@@ -410,7 +410,7 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
 quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feature_setup *setup,
                            const ql_region *region, ql_error *err)
 {
-    ql_net_maps maps;
+    ql_net_maps maps = {0}; /* so that it can be freed whatever fails */
     const double start = ql_clock_seconds(), from = env->progress_from, to = env->progress_to;
     env->progress_to = from + 0.6 * (to - from);
     quell_status status = run_network(job, env, &job->plan->sets[set], setup, region, &maps, err);
