@@ -48,6 +48,10 @@ CONFIG := $(CONFIG_ARCH)release
 OPTIMISE := -O3 -g1 -DNDEBUG
 endif
 
+# For the targets that call make again; make's own -j, where given, comes first.
+JOBS ?= $(shell nproc 2>/dev/null || echo 2)
+SUBMAKE = $(MAKE) $(if $(filter -j%,$(MAKEFLAGS)),,-j$(JOBS)) --no-print-directory
+
 BUILD := build
 OUT := $(BUILD)/$(CONFIG)
 OBJ := $(OUT)/obj
@@ -234,46 +238,46 @@ check: syntax $(TESTS)
 
 ## test: install what tests need, build, and run every test
 test: deps-test
-	$(Q)$(MAKE) all c-tests $(if $(wildcard bench/*.c),benches) $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) $(VENV)/stamp-test
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests $(PYTEST_FLAGS)
 
 ## test-long: the tests, again under the sanitizers, with each instruction set, on ARM, and under valgrind
 test-long: test
-	$(Q)$(MAKE) asan
-	$(Q)$(MAKE) ubsan
-	$(Q)$(MAKE) qemu
+	$(Q)+$(SUBMAKE) asan
+	$(Q)+$(SUBMAKE) ubsan
+	$(Q)+$(SUBMAKE) qemu
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests -m slow $(PYTEST_FLAGS)
 
 ## asan: the C tests under the address sanitizer
 asan:
-	$(Q)$(MAKE) SAN=address check
+	$(Q)+$(SUBMAKE) SAN=address check
 
 ## ubsan: the C tests under the undefined-behaviour sanitizer
 ubsan:
-	$(Q)$(MAKE) SAN=undefined check
+	$(Q)+$(SUBMAKE) SAN=undefined check
 
 ## tsan: the C tests under the thread sanitizer
 tsan:
-	$(Q)$(MAKE) SAN=thread check
+	$(Q)+$(SUBMAKE) SAN=thread check
 
 ## qemu: cross build the kernels for aarch64 and run their tests under qemu
 qemu:
-	$(Q)$(MAKE) ARCH=aarch64 cross-check
+	$(Q)+$(SUBMAKE) ARCH=aarch64 cross-check
 
 cross-check: $(TESTS)
 	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
 
 ## demo: install what is needed, build, denoise the samples and compare them with their references
 demo: deps-demo
-	$(Q)$(MAKE) all $(VENV)/stamp-demo
-	$(Q)$(MAKE) $(VENV)/stamp-peer || echo "Open Image Denoise could not be installed: its columns stay empty"
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-demo
+	$(Q)+$(SUBMAKE) $(VENV)/stamp-peer || echo "Open Image Denoise could not be installed: its columns stay empty"
 	$(Q)$(PYTHON) scripts/demo.py --quell $(CLI) --out $(BUILD)/demo
 
 benches: $(BENCHES)
 
 ## bench: time and peak memory by size and number of layers; CSV under bench/results/
 bench: deps-bench
-	$(Q)$(MAKE) all benches $(VENV)/stamp-demo
+	$(Q)+$(SUBMAKE) all benches $(VENV)/stamp-demo
 	$(Q)$(PYTHON) bench/bench.py --quell $(CLI)
 
 ## deps-demo deps-test deps-bench: only install what those targets need

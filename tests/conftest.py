@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures that several folders of tests share. QUELL_BUILD names the build to test, build/release by default."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def build_folder() -> Path:
+    return ROOT / os.environ.get("QUELL_BUILD", "build/release")
+
+
+class Quell:
+    """The tool. Calling it runs it; ok() insists on success."""
+
+    def __init__(self, program: Path) -> None:
+        self.program = program
+
+    def __call__(self, *args: object, timeout: float = 120, **keywords: object) -> subprocess.CompletedProcess[str]:
+        command = [str(self.program), *map(str, args)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, **keywords)
+
+    def ok(self, *args: object, **keywords: object) -> subprocess.CompletedProcess[str]:
+        result = self(*args, **keywords)
+        assert result.returncode == 0, result.stderr
+        return result
+
+    def fails(self, code: int, *args: object, **keywords: object) -> str:
+        """Runs it, checks the exit code and that stderr is one line of `quell: ...`, and returns that line."""
+        result = self(*args, **keywords)
+        assert result.returncode == code, (result.returncode, result.stderr)
+        lines = result.stderr.splitlines()
+        assert len(lines) == 1 and lines[0].startswith("quell: "), result.stderr
+        return lines[0]
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def build() -> Path:
+    return build_folder()
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    return ROOT / "tests" / "data"
+
+
+@pytest.fixture(scope="session")
+def quell() -> Quell:
+    program = build_folder() / "bin" / "quell"
+    assert program.exists(), f"{program} is missing: run make"
+    return Quell(program)
+
+
+def write_exr(path: Path, layers: dict[str, np.ndarray]) -> Path:
+    """A single-part multilayer file: 'ViewLayer.Combined' -> [h][w][c], channels named by their number."""
+    import OpenEXR
+
+    letters = {1: "V", 3: "RGB", 4: "RGBA"}
+    channels = {}
+    for name, pixels in layers.items():
+        for c, letter in enumerate(letters[pixels.shape[2]]):
+            channels[f"{name}.{letter}"] = np.ascontiguousarray(pixels[..., c])
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+    return path
+
+
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    """All channels of all parts, each in its own type."""
+    import OpenEXR
+
+    channels: dict[str, np.ndarray] = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                channels[name] = np.array(channel.pixels)
+    return channels
+
+
+@pytest.fixture(scope="session")
+def exr_writer() -> Callable[[Path, dict[str, np.ndarray]], Path]:
+    return write_exr
+
+
+@pytest.fixture(scope="session")
+def exr_reader() -> Callable[[Path], dict[str, np.ndarray]]:
+    return read_exr
