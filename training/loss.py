@@ -30,6 +30,17 @@ def multiscale(image: Tensor, target: Tensor) -> Tensor:
     return total
 
 
+def energy(image: Tensor, target: Tensor) -> Tensor:
+    """Squared error of means over 16x16, 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop
+    what is rare and bright; this one has the expectation as its optimum and so keeps the mean."""
+    level = target.mean((1, 2, 3), keepdim=True).abs().detach() + 0.01
+    total = image.new_zeros(())
+    for size in (16, 64, image.shape[-1]):
+        error = (F.avg_pool2d(image, size) - F.avg_pool2d(target, size)) / level
+        total = total + error.square().clamp_max(4).mean()
+    return total
+
+
 def tone_l1(image: Tensor, target: Tensor) -> Tensor:
     """L1 after z / (1 + z): what a viewer sees (eq. 9 of DGAN-KPN)."""
     return (image / (1 + image.clamp_min(0)) - target / (1 + target.clamp_min(0))).abs().mean()
@@ -38,11 +49,13 @@ def tone_l1(image: Tensor, target: Tensor) -> Tensor:
 def quell_loss(out: Denoised, target: Layers) -> Tensor:
     """Combined first, its two makings and the passes second."""
     total = multiscale(out.combined, target.beauty) + 0.5 * tone_l1(out.combined, target.beauty)
+    total = total + energy(out.combined, target.beauty)
     if out.light is None:
         return total
-    total = total + 0.25 * multiscale(out.direct, target.beauty) + 0.25 * multiscale(out.rebuilt, target.beauty)
+    for part in (out.direct, out.rebuilt):
+        total = total + 0.25 * multiscale(part, target.beauty) + 0.25 * energy(part, target.beauty)
     for i in range(4):
         made = out.light[:, i] * out.color[:, i] if i < 3 else out.light[:, i]
-        total = total + 0.1 * multiscale(made, target.light[:, i])
+        total = total + 0.1 * multiscale(made, target.light[:, i]) + 0.2 * energy(made, target.light[:, i])
     total = total + 0.1 * relative_error(out.color, target.color).mean()
     return total + 0.05 * multiscale(out.emission, target.emission)

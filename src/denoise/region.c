@@ -190,17 +190,24 @@ static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker,
                          worker_scratch(b, worker), out);
 }
 
-/* weight[x] *= c / (c + epsilon), c the mean colour that the light was divided by. */
-static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
+/* One row of the colour that the group's light was divided by. */
+static void read_color(const batch *b, uint32_t y, float *const *rows)
 {
     const int32_t index = b->set->role_layer[b->color_role];
     const ql_layer *const layer = &b->job->frame->layers[index];
     const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
     ql_read_fixed_row(layer, &b->job->scans[index], b->job->frame->width, y, colors, rows, NULL);
+    for (uint32_t c = colors; c < MAX_COLORS; ++c) memcpy(rows[c], rows[0], b->job->frame->width * sizeof *rows[c]);
+}
+
+/* weight[x] *= c / (c + epsilon), c the mean colour that the light was divided by. */
+static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
+{
+    read_color(b, y, rows);
     for (uint32_t x = 0; x < num; ++x) {
         float sum = 0.0f;
-        for (uint32_t c = 0; c < colors; ++c) sum += rows[c][b->region->rx + x];
-        const float color = sum > 0.0f ? sum / (float)colors : 0.0f;
+        for (uint32_t c = 0; c < MAX_COLORS; ++c) sum += rows[c][b->region->rx + x];
+        const float color = sum > 0.0f ? sum / (float)MAX_COLORS : 0.0f;
         weight[x] *= color / (color + COLOR_EPSILON);
     }
 }
@@ -319,6 +326,26 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
     }
 }
 
+/* Light without a colour is "no data", not darkness to be filled from beside: it stays what it was. */
+static void restore_task(void *user, uint32_t task, uint32_t worker)
+{
+    const batch *const b = user;
+    const ql_region *const region = b->region;
+    const uint32_t y = region->y0 + task, width = b->job->frame->width;
+    float *rows[2 * MAX_COLORS];
+    for (uint32_t i = 0; i < 2 * MAX_COLORS; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * width;
+    read_color(b, y, rows);
+    for (uint32_t i = 0; i < b->num_members; ++i) {
+        const member *const m = &b->members[i];
+        ql_read_fixed_row(m->source, m->scan, width, y, m->num_channels, rows + MAX_COLORS, NULL);
+        for (uint32_t c = 0; c < m->num_channels; ++c) {
+            float *const out = result_row(b, m, c, y);
+            for (uint32_t x = region->x0; x < region->x1; ++x)
+                if (rows[0][x] == 0.0f && rows[1][x] == 0.0f && rows[2][x] == 0.0f) out[x] = rows[MAX_COLORS + c][x];
+        }
+    }
+}
+
 static uint32_t num_filtered_channels(const ql_job *job, const ql_layer *layer, const ql_scan *scan, int32_t group)
 {
     (void)job;
@@ -374,6 +401,8 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
             QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
         else
             QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
+        if (b->color_role != QUELL_ROLE_OTHER)
+            QL_TRY(ql_env_run(env, b->region->y1 - b->region->y0, restore_task, b));
     }
     return QUELL_OK;
 }

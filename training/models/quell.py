@@ -157,6 +157,9 @@ def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | No
     values = filter_pyramid(torch.cat([light * weight, weight], 1), levels)
     light = values[:, :3] / values[:, 3:].clamp_min(1e-20)
     light = light.view(len(groups), n, *light.shape[1:]).transpose(0, 1)
+    # Light without a colour is "no data", not darkness to be filled from beside: it stays what it was.
+    colored = torch.cat([(layers.color != 0).any(2, keepdim=True), torch.ones_like(scale[:, :1], dtype=torch.bool)], 1)
+    light = torch.where(colored, light, layers.light)
 
     color = apply_kernel(torch.cat([layers.color.flatten(1, 2), inside], 1), logits["color_0"], 2, 0)
     color = (color[:, :-1] / color[:, -1:].clamp_min(1e-20)).view_as(layers.color)
