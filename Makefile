@@ -107,13 +107,15 @@ endif
 LIB_SOURCES := $(foreach folder,$(LIB_FOLDERS),$(wildcard src/$(folder)/*.c))
 LIB_SOURCES := $(filter-out $(foreach isa,$(other_isas),%_$(isa).c),$(LIB_SOURCES))
 LIB_OBJECTS := $(LIB_SOURCES:%.c=$(OBJ)/%.o)
-CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/cli/*.c)) $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
+CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/cli/*.c))
+OIIO_OBJECTS := $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
 WEIGHTS := $(wildcard weights/*.qwt)
 
 STATIC_LIB := $(OUT)/lib/libquell.a
 SHARED_LIB := $(OUT)/lib/libquell.so.$(VERSION)
 SONAME := libquell.so.$(VERSION_MAJOR)
 CLI := $(OUT)/bin/quell
+OIIO_MODULE := $(OUT)/lib/quell/quell_oiio.so
 
 # tests/<folder>/test_*.c are programs; other .c files of the folder are linked into each of them.
 TEST_SOURCES := $(sort $(wildcard tests/*/test_*.c))
@@ -192,8 +194,14 @@ $(SHARED_LIB): $(LIB_OBJECTS) src/libquell.map $(OPENEXR_STAMP)
 $(CLI): $(CLI_OBJECTS) $(SHARED_LIB)
 	$(call say,LINK,$@)
 	@mkdir -p $(@D)
-	$(Q)$(CXX) -o $@ $(CLI_OBJECTS) $(LINK_SAN) $(LDFLAGS) -L$(OUT)/lib -lquell -Wl,-rpath,'$$ORIGIN/../lib' \
-		$$(pkg-config --libs OpenImageIO libcjson) -lm -pthread
+	$(Q)$(CC) -o $@ $(CLI_OBJECTS) $(LINK_SAN) $(LDFLAGS) -L$(OUT)/lib -lquell \
+		-Wl,-rpath,'$$ORIGIN/../lib' -Wl,-rpath,'$$ORIGIN/../lib/quell' $$(pkg-config --libs libcjson) -ldl -lm -pthread
+
+# OpenImageIO is loaded only when a picture is written: see src/cli/image_oiio.h.
+$(OIIO_MODULE): $(OIIO_OBJECTS)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CXX) -shared -o $@ $(OIIO_OBJECTS) $(LINK_SAN) $(LDFLAGS) -Wl,-z,defs $$(pkg-config --libs OpenImageIO)
 
 .SECONDEXPANSION:
 $(OUT)/tests/%: $(OBJ)/tests/%.o $$(call test_helpers,tests/%.c) $(STATIC_LIB) $(OPENEXR_STAMP)
@@ -227,7 +235,7 @@ all: lib cli
 lib: $(SHARED_LIB) $(STATIC_LIB)
 
 ## cli: the quell tool
-cli: $(CLI)
+cli: $(CLI) $(OIIO_MODULE)
 
 ## c-tests: build the C test programs without running them
 c-tests: $(TESTS)
@@ -294,6 +302,7 @@ install: all
 	$(Q)ln -sf $(SONAME) $(DESTDIR)$(LIBDIR)/libquell.so
 	$(Q)install -m 644 include/quell.h $(DESTDIR)$(INCLUDEDIR)/
 	$(Q)install -m 755 $(CLI) $(DESTDIR)$(BINDIR)/
+	$(Q)install -d $(DESTDIR)$(PREFIX)/lib/quell && install -m 755 $(OIIO_MODULE) $(DESTDIR)$(PREFIX)/lib/quell/
 	$(Q)sed -e 's|@PREFIX@|$(PREFIX)|; s|@LIBDIR@|$(LIBDIR)|; s|@INCLUDEDIR@|$(INCLUDEDIR)|; s|@VERSION@|$(VERSION)|' \
 		quell.pc.in >$(DESTDIR)$(LIBDIR)/pkgconfig/quell.pc
 	$(Q)install -m 644 LICENSE README.md docs/cli.md $(DESTDIR)$(PREFIX)/share/doc/quell/
