@@ -58,4 +58,4 @@ def quell_loss(out: Denoised, target: Layers) -> Tensor:
         made = out.light[:, i] * out.color[:, i] if i < 3 else out.light[:, i]
         total = total + 0.1 * multiscale(made, target.light[:, i]) + 0.2 * energy(made, target.light[:, i])
     total = total + 0.1 * relative_error(out.color, target.color).mean()
-    return total + 0.05 * multiscale(out.emission, target.emission)
+    return total + 0.1 * relative_error(out.emission, target.emission).mean()

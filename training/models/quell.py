@@ -139,11 +139,8 @@ def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | No
         inside = torch.ones_like(layers.beauty[:, :1])
     levels, importance = group_levels(logits, ("beauty",))
     weight = importance_weight(importance) * inside
-    channels = [layers.beauty] if layers.light is None else [layers.beauty, layers.emission]
-    values = torch.cat([torch.cat(channels, 1) * weight, weight], 1)
-    filtered = filter_pyramid(values, levels)
-    filtered = filtered[:, :-1] / filtered[:, -1:].clamp_min(1e-20)
-    direct = filtered[:, :3]
+    filtered = filter_pyramid(torch.cat([layers.beauty * weight, weight], 1), levels)
+    direct = filtered[:, :3] / filtered[:, 3:].clamp_min(1e-20)
     if layers.light is None:
         return Denoised(combined=direct, direct=direct)
 
@@ -161,10 +158,11 @@ def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | No
     colored = torch.cat([(layers.color != 0).any(2, keepdim=True), torch.ones_like(scale[:, :1], dtype=torch.bool)], 1)
     light = torch.where(colored, light, layers.light)
 
-    color = apply_kernel(torch.cat([layers.color.flatten(1, 2), inside], 1), logits["color_0"], 2, 0)
-    color = (color[:, :-1] / color[:, -1:].clamp_min(1e-20)).view_as(layers.color)
-
-    emission = filtered[:, 3:6]
+    # What the camera sees directly, colours and emitters, is noisy at edges and under blur alone: narrow kernels.
+    seen = torch.cat([layers.color.flatten(1, 2), layers.emission, inside], 1)
+    seen = apply_kernel(seen, logits["color_0"], 2, 0)
+    seen = seen[:, :-1] / seen[:, -1:].clamp_min(1e-20)
+    color, emission = seen[:, :9].view_as(layers.color), seen[:, 9:]
     rebuilt = (light[:, :3] * color).sum(1) + light[:, 3] + emission
     mix = torch.sigmoid(logits["mix_0"].float())
     combined = mix * rebuilt + (1 - mix) * direct

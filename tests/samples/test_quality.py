@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The released model on the samples: error against two references, layer by layer, and means."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = sorted(p.name for p in (ROOT / "samples").iterdir() if (p / f"{p.name}_4spp.exr").exists())
+SPP = (4, 16)
+
+
+def rel_mse(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """relMSE against two references, whose own noise cancels, and its standard error from 16x16 blocks."""
+    x, a, b = (v[..., :3].astype(np.float64) for v in (x, a, b))
+    m = 0.5 * (a + b)
+    error = ((x - a) * (x - b) / (m * m + 0.01)).mean(-1)
+    height, width = (s // 16 * 16 for s in error.shape)
+    blocks = error[:height, :width].reshape(height // 16, 16, width // 16, 16).mean((1, 3))
+    return float(error.mean()), float(blocks.std() / math.sqrt(blocks.size))
+
+
+def pass_name(layer: str) -> str:
+    return layer.split(".")[-1]
+
+
+def group(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Channels to layers: 'ViewLayer.Combined' -> [h][w][RGB or what there is]."""
+    layers: dict[str, dict[str, np.ndarray]] = {}
+    for name, pixels in channels.items():
+        layer, _, letter = name.rpartition(".")
+        layers.setdefault(layer, {})[letter] = pixels.astype(np.float32)
+    return {k: np.stack([v[c] for c in sorted(v, key="RGBAXYZVW".find)], -1) for k, v in layers.items()}
+
+
+@pytest.fixture(scope="module")
+def results(quell, exr_reader, tmp_path_factory) -> dict:
+    """Per sample and spp: the layers of the input, of the output and of both references, and the report."""
+    folder = tmp_path_factory.mktemp("samples")
+    out = {}
+    for name in SAMPLES:
+        refs = [group(exr_reader(ROOT / "samples" / name / f"{name}_ref_{k}.exr")) for k in "ab"]
+        for spp in SPP:
+            source = ROOT / "samples" / name / f"{name}_{spp}spp.exr"
+            target = folder / source.name
+            report = folder / f"{source.stem}.json"
+            quell.ok("denoise", source, "-o", target, "--report", report)
+            layers = json.loads(report.read_text())["files"][0]["layers"]
+            out[name, spp] = (group(exr_reader(source)), group(exr_reader(target)), refs, {x["name"]: x for x in layers})
+    return out
+
+
+def combined(layers: dict[str, np.ndarray]) -> np.ndarray:
+    return next(v for k, v in layers.items() if pass_name(k) == "Combined")
+
+
+def test_there_are_samples():
+    assert len(SAMPLES) >= 4
+
+
+def test_combined_at_4_spp(results):
+    gains = {}
+    for name in SAMPLES:
+        source, target, refs, _ = results[name, 4]
+        ends = [combined(r) for r in refs]
+        gains[name] = rel_mse(combined(source), *ends)[0] / max(rel_mse(combined(target), *ends)[0], 1e-9)
+    mean = math.exp(np.mean([math.log(g) for g in gains.values()]))
+    assert mean >= 8, gains
+    assert min(gains.values()) >= 4, gains
+
+
+@pytest.mark.parametrize("spp", SPP)
+@pytest.mark.parametrize("name", SAMPLES)
+def test_no_layer_gets_worse(results, name, spp):
+    source, target, refs, report = results[name, spp]
+    scored = 0
+    for layer, x in report.items():
+        if x["action"] != "denoise":
+            continue
+        ends = [next((v for k, v in r.items() if pass_name(k) == pass_name(layer)), None) for r in refs]
+        if ends[0] is None:
+            continue  # most references hold Combined alone (samples/README.md)
+        before, _ = rel_mse(source[layer], *ends)
+        after, deviation = rel_mse(target[layer], *ends)
+        # Noise-free layers score 0 before and after, within what two noisy references can resolve.
+        assert after <= before + 2 * deviation, (layer, before, after, deviation)
+        scored += 1
+    assert scored >= 1
+
+
+@pytest.mark.parametrize("spp", SPP)
+@pytest.mark.parametrize("name", SAMPLES)
+def test_means_stay(results, name, spp):
+    """Within 2 % of the input's mean, where no firefly was limited."""
+    source, target, _, report = results[name, spp]
+    for layer, x in report.items():
+        if x["action"] != "denoise" or x["limited_pixels"] > 0:
+            continue
+        before, after = (float(v[layer][..., :3].astype(np.float64).mean()) for v in (source, target))
+        assert abs(after - before) <= 0.02 * abs(before) + 1e-4, (layer, before, after)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_results_are_finite(results, name):
+    for spp in SPP:
+        for layer, pixels in results[name, spp][1].items():
+            if results[name, spp][3].get(layer, {}).get("action") == "denoise":
+                assert np.isfinite(pixels).all(), layer
