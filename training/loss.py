@@ -31,13 +31,14 @@ def multiscale(image: Tensor, target: Tensor) -> Tensor:
 
 
 def energy(image: Tensor, target: Tensor) -> Tensor:
-    """Squared error of means over 16x16, 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop
-    what is rare and bright; this one has the expectation as its optimum and so keeps the mean."""
+    """Squared error of means over 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop what is
+    rare and bright; this one has the expectation as its optimum and so keeps the mean. At smaller scales it would spread
+    every firefly over its surroundings (docs/decisions/0003-energy.md)."""
     level = target.mean((1, 2, 3), keepdim=True).abs().detach() + 0.01
     total = image.new_zeros(())
-    for size in (16, 64, image.shape[-1]):
+    for size in (64, image.shape[-1]):
         error = (F.avg_pool2d(image, size) - F.avg_pool2d(target, size)) / level
-        total = total + error.square().clamp_max(4).mean()
+        total = total + error.square().clamp_max(1).mean()
     return total
 
 
@@ -49,13 +50,13 @@ def tone_l1(image: Tensor, target: Tensor) -> Tensor:
 def quell_loss(out: Denoised, target: Layers) -> Tensor:
     """Combined first, its two makings and the passes second."""
     total = multiscale(out.combined, target.beauty) + 0.5 * tone_l1(out.combined, target.beauty)
-    total = total + energy(out.combined, target.beauty)
+    total = total + 0.4 * energy(out.combined, target.beauty)
     if out.light is None:
         return total
     for part in (out.direct, out.rebuilt):
-        total = total + 0.25 * multiscale(part, target.beauty) + 0.25 * energy(part, target.beauty)
+        total = total + 0.25 * multiscale(part, target.beauty) + 0.1 * energy(part, target.beauty)
     for i in range(4):
         made = out.light[:, i] * out.color[:, i] if i < 3 else out.light[:, i]
-        total = total + 0.1 * multiscale(made, target.light[:, i]) + 0.2 * energy(made, target.light[:, i])
+        total = total + 0.1 * multiscale(made, target.light[:, i]) + 0.05 * energy(made, target.light[:, i])
     total = total + 0.1 * relative_error(out.color, target.color).mean()
     return total + 0.1 * relative_error(out.emission, target.emission).mean()
