@@ -17,7 +17,9 @@ PROGRAMS = sorted(p.relative_to(ROOT / "tests").with_suffix("") for p in ROOT.gl
 def test_program(name: Path) -> None:
     program = ROOT / os.environ.get("QUELL_BUILD", "build/release") / "tests" / name
     assert program.exists(), f"{program} is missing: run make c-tests"
-    done = subprocess.run([program], cwd=ROOT, capture_output=True, text=True, errors="replace", timeout=300, check=False)
+    done = subprocess.run(
+        [program], cwd=ROOT, capture_output=True, text=True, errors="replace", timeout=300, check=False
+    )
     if done.returncode == 77:
         pytest.skip((done.stdout + done.stderr).strip().splitlines()[-1])
     assert done.returncode == 0, done.stdout + done.stderr

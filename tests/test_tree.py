@@ -10,7 +10,9 @@ from pathlib import Path
 
 
 def test_includes_follow_the_arrows(root: Path) -> None:
-    done = subprocess.run([sys.executable, root / "tests" / "check_includes.py"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, root / "tests" / "check_includes.py"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 

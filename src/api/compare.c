@@ -42,8 +42,8 @@ static quell_status compare(ql_call *call, const quell_image *image, const quell
     }
 
     quell_metrics full = {.struct_size = sizeof full};
-    QL_TRY(ql_metrics_compare(&call->env, x.width, x.height, &x.view, &a.view, reference_b ? &b.view : NULL, &full,
-                              err));
+    QL_TRY(
+        ql_metrics_compare(&call->env, x.width, x.height, &x.view, &a.view, reference_b ? &b.view : NULL, &full, err));
     ql_struct_write(out, &full, sizeof full);
     return QUELL_OK;
 }

@@ -32,8 +32,8 @@ static quell_status create_frame(const ql_call *call, uint32_t width, uint32_t h
                        width, height);
     }
     if ((uint64_t)width * height > call->ctx->max_image_pixels || width > INT32_MAX || height > INT32_MAX) {
-        return ql_fail(call->err, QUELL_ERR_LIMIT, "a frame of %u x %u pixels is over the limit of %llu", width,
-                       height, (unsigned long long)call->ctx->max_image_pixels);
+        return ql_fail(call->err, QUELL_ERR_LIMIT, "a frame of %u x %u pixels is over the limit of %llu", width, height,
+                       (unsigned long long)call->ctx->max_image_pixels);
     }
     ql_frame *frame = NULL;
     QL_TRY(ql_frame_create(width, height, &frame, call->err));

@@ -51,8 +51,8 @@ void ql_struct_write(void *given, const void *full, size_t full_bytes)
     memcpy(given, &bytes, sizeof bytes);
 }
 
-quell_status ql_image_read(const quell_image *image, const char *what, ql_view *view, uint32_t *width,
-                           uint32_t *height, ql_error *err)
+quell_status ql_image_read(const quell_image *image, const char *what, ql_view *view, uint32_t *width, uint32_t *height,
+                           ql_error *err)
 {
     quell_image full;
     if (!image) return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "%s: the pointer is NULL", what);
@@ -61,8 +61,7 @@ quell_status ql_image_read(const quell_image *image, const char *what, ql_view *
         return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "%s: format %d is neither float nor half", what, full.format);
     }
     if (full.num_channels < 1 || full.num_channels > 4) {
-        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "%s: %u channels; 1 to 4 are allowed", what,
-                       full.num_channels);
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "%s: %u channels; 1 to 4 are allowed", what, full.num_channels);
     }
     if (full.width < 1 || full.height < 1) {
         return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "%s: %u x %u pixels; both sides must be at least 1", what,

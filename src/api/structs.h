@@ -25,7 +25,7 @@ quell_status ql_struct_check_out(const void *given, size_t v1_bytes, const char 
 void ql_struct_write(void *given, const void *full, size_t full_bytes);
 
 /* Reads and checks a quell_image. what: "image", "reference", for the sentence. */
-quell_status ql_image_read(const quell_image *image, const char *what, ql_view *view, uint32_t *width,
-                           uint32_t *height, ql_error *err);
+quell_status ql_image_read(const quell_image *image, const char *what, ql_view *view, uint32_t *width, uint32_t *height,
+                           ql_error *err);
 
 #endif

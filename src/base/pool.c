@@ -25,11 +25,11 @@ struct ql_pool {
     pool_worker *workers; /* [num_threads - 1] */
 
     pthread_mutex_t lock;
-    pthread_cond_t wake;   /* a job has begun, or the pool ends */
-    pthread_cond_t idle;   /* the last worker has left the job */
-    uint64_t generation;   /* number of the job; under lock, as all below but next_task */
-    uint32_t num_joined;   /* workers inside the job */
-    int is_open;           /* whether workers may join the job */
+    pthread_cond_t wake; /* a job has begun, or the pool ends */
+    pthread_cond_t idle; /* the last worker has left the job */
+    uint64_t generation; /* number of the job; under lock, as all below but next_task */
+    uint32_t num_joined; /* workers inside the job */
+    int is_open;         /* whether workers may join the job */
     int is_ending;
 
     ql_task_fn fn;

@@ -86,8 +86,8 @@ void cli_canvas_text(cli_canvas *canvas, uint32_t x, uint32_t y, uint32_t x_end,
         if (!rows) continue;
         for (uint32_t dot = 0; dot < GLYPH_WIDTH * GLYPH_HEIGHT; dot++) {
             if (rows[dot] != '#') continue;
-            fill(canvas, x + 2 * size + k * advance + dot % GLYPH_WIDTH * size, y + (2 + dot / GLYPH_WIDTH) * size, size,
-                 size, x_end, 240);
+            fill(canvas, x + 2 * size + k * advance + dot % GLYPH_WIDTH * size, y + (2 + dot / GLYPH_WIDTH) * size,
+                 size, size, x_end, 240);
         }
     }
 }

@@ -12,7 +12,7 @@
 /* docs/cli.md lists them for the user. */
 enum {
     CLI_EXIT_OK = 0,
-    CLI_EXIT_FAILED = 1,    /* several files failed for different reasons, or a reason without a code of its own */
+    CLI_EXIT_FAILED = 1, /* several files failed for different reasons, or a reason without a code of its own */
     CLI_EXIT_USAGE = 2,
     CLI_EXIT_NOT_FOUND = 3, /* input missing, folder of the output missing */
     CLI_EXIT_INPUT = 4,     /* damaged, truncated, not an EXR, or of an unsupported kind */
@@ -49,7 +49,15 @@ typedef struct cli_common {
 } cli_common;
 
 /* getopt codes of the options that every subcommand has. Those of a subcommand start at CLI_OPT_OWN. */
-enum { CLI_OPT_HELP = 'h', CLI_OPT_THREADS = 1000, CLI_OPT_MEMORY, CLI_OPT_CPU, CLI_OPT_MODEL, CLI_OPT_QUIET, CLI_OPT_OWN };
+enum {
+    CLI_OPT_HELP = 'h',
+    CLI_OPT_THREADS = 1000,
+    CLI_OPT_MEMORY,
+    CLI_OPT_CPU,
+    CLI_OPT_MODEL,
+    CLI_OPT_QUIET,
+    CLI_OPT_OWN
+};
 
 /* clang-format off */
 #define CLI_COMMON_OPTIONS                                     \

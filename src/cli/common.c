@@ -115,8 +115,11 @@ static int parse_cpu(const char *text, int32_t *out)
     static const struct {
         const char *name;
         int32_t cpu;
-    } names[] = {{"auto", QUELL_CPU_AUTO},     {"c", QUELL_CPU_C},       {"avx2", QUELL_CPU_AVX2},
-                 {"avx512", QUELL_CPU_AVX512}, {"neon", QUELL_CPU_NEON}};
+    } names[] = {{"auto", QUELL_CPU_AUTO},
+                 {"c", QUELL_CPU_C},
+                 {"avx2", QUELL_CPU_AVX2},
+                 {"avx512", QUELL_CPU_AVX512},
+                 {"neon", QUELL_CPU_NEON}};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         if (strcmp(text, names[i].name) != 0) continue;
         *out = names[i].cpu;

@@ -15,7 +15,8 @@ static const char help_text[] =
     "values that are not finite. Two references must be independent renders (different seeds): their own noise then\n"
     "cancels. A layer's counterpart is the one of the same full name, else of the same pass, else of the same role.\n"
     "\n"
-    "  -l, --layers WHICH    all: every layer that both have; or names, comma-separated. Default: all whose role is known\n"
+    "  -l, --layers WHICH    all: every layer that both have; or names, comma-separated. Default: all whose role is "
+    "known\n"
     "      --json            as JSON\n"
     "      --threads N, --max-memory MB, --cpu KERNELS   as in quell denoise\n"
     "  -h, --help\n";

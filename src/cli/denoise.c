@@ -17,13 +17,15 @@ static const char help_text[] =
     "metadata; what is not denoised is copied bit by bit. It appears whole, or not at all.\n"
     "\n"
     "  -o, --output OUT      a file (for one input); an existing folder or a name that ends in '/': the inputs' names\n"
-    "                        are kept; or a pattern: {name} is the input's name without folder and extension, a run of\n"
+    "                        are kept; or a pattern: {name} is the input's name without folder and extension, a run "
+    "of\n"
     "                        '#' its frame number, padded with zeros: -o 'clean/shot_####.exr', -o '{name}_clean.exr'\n"
     "      --overwrite       let a folder or a pattern lead back to an input file\n"
     "  -m, --model NAME|FILE a built-in model (quell --version -v lists them) or a weight file\n"
     "  -l, --layers WHICH    all (default): every light pass; beauty: Combined alone; or names, comma-separated\n"
     "      --keep-noisy      keep the noisy Combined as the layer 'Noisy Image'\n"
-    "      --codec CODEC     for parts that are encoded again: keep (default; lossy ones become zip), none, rle, zips,\n"
+    "      --codec CODEC     for parts that are encoded again: keep (default; lossy ones become zip), none, rle, "
+    "zips,\n"
     "                        zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k\n"
     "      --report FILE     what was done and skipped, and why, as JSON; '-': standard output\n"
     "      --threads N       default: one for each core\n"
@@ -331,7 +333,8 @@ int cli_denoise(int argc, char **argv)
     if (code == CLI_EXIT_OK) code = cli_context_create(&args.common, &ctx);
     if (code == CLI_EXIT_OK) {
         const quell_status status = quell_model_open(ctx, args.common.model, &model);
-        code = status == QUELL_OK ? run_with_report(ctx, model, &args) : cli_error_status(args.common.model, ctx, status);
+        code =
+            status == QUELL_OK ? run_with_report(ctx, model, &args) : cli_error_status(args.common.model, ctx, status);
         /* Not a missing input: the file named by --model. */
         if (status == QUELL_ERR_FILE_NOT_FOUND || status == QUELL_ERR_FILE_READ) code = CLI_EXIT_MODEL;
     }

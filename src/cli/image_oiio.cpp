@@ -36,8 +36,8 @@ int write(const char *path, uint32_t width, uint32_t height, const uint8_t *pixe
 
 } // namespace
 
-extern "C" int cli_image_write_oiio(const char *path, uint32_t width, uint32_t height, const uint8_t *pixels, char *error,
-                                    size_t error_bytes)
+extern "C" int cli_image_write_oiio(const char *path, uint32_t width, uint32_t height, const uint8_t *pixels,
+                                    char *error, size_t error_bytes)
 {
     try {
         return write(path, width, height, pixels, error, error_bytes);

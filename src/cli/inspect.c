@@ -116,7 +116,8 @@ static void print_table(const char *path, const quell_frame *frame, const quell_
     for (int c = 0; c < NUM_COLUMNS; c++) widths[c] = width_of(titles[c]);
     for (uint32_t i = 0; i < num_layers; i++) {
         row_of(frame, report, i, samples, action, cells);
-        for (int c = 0; c < NUM_COLUMNS; c++) widths[c] = width_of(cells[c]) > widths[c] ? width_of(cells[c]) : widths[c];
+        for (int c = 0; c < NUM_COLUMNS; c++)
+            widths[c] = width_of(cells[c]) > widths[c] ? width_of(cells[c]) : widths[c];
     }
     print_cells(titles, widths);
     for (uint32_t i = 0; i < num_layers; i++) {

@@ -37,8 +37,8 @@ static int print_models(quell_context *ctx)
         if (quell_model_get_info(model, &info) == QUELL_OK) {
             printf("model %s%s: %s\n", info.name, i == 0 ? " (default)" : "", info.description);
             printf("  SHA-256 %s\n", info.sha256);
-            printf("  %llu parameters, %.0f to %.0f multiply-adds per pixel\n",
-                   (unsigned long long)info.num_parameters, info.macs_per_pixel, info.macs_per_pixel_all);
+            printf("  %llu parameters, %.0f to %.0f multiply-adds per pixel\n", (unsigned long long)info.num_parameters,
+                   info.macs_per_pixel, info.macs_per_pixel_all);
         }
         quell_model_destroy(model);
     }
@@ -85,7 +85,8 @@ static int run(int argc, char **argv)
     static const struct {
         const char *name;
         int (*run)(int argc, char **argv);
-    } commands[] = {{"denoise", cli_denoise}, {"inspect", cli_inspect}, {"compare", cli_compare}, {"preview", cli_preview}};
+    } commands[] = {
+        {"denoise", cli_denoise}, {"inspect", cli_inspect}, {"compare", cli_compare}, {"preview", cli_preview}};
 
     if (argc < 2) {
         fputs(help_text, stderr);

@@ -44,8 +44,8 @@ typedef struct preview_args {
 static int parse_crop(preview_args *args, const char *text)
 {
     int end = 0;
-    const int found = sscanf(text, "%ux%u+%u+%u%n", &args->crop_width, &args->crop_height, &args->crop_x,
-                             &args->crop_y, &end);
+    const int found =
+        sscanf(text, "%ux%u+%u+%u%n", &args->crop_width, &args->crop_height, &args->crop_x, &args->crop_y, &end);
     if (found != 4 || text[end] != '\0' || args->crop_width == 0 || args->crop_height == 0) return -1;
     args->has_crop = 1;
     return 0;

@@ -5,8 +5,8 @@
 #include <math.h>
 
 typedef struct gmsd_job {
-    uint32_t width, height;             /* of the planes */
-    uint32_t half_width, half_height;   /* of the halved ones */
+    uint32_t width, height;           /* of the planes */
+    uint32_t half_width, half_height; /* of the halved ones */
     const float *image, *reference;
     double *half_image, *half_reference; /* [half_height][half_width] */
     double *similarity;                  /* the same shape */

@@ -177,7 +177,8 @@ static void names_cover_all_values(void **state)
 {
     (void)state;
     assert_string_equal(quell_status_name(QUELL_OK), "QUELL_OK");
-    for (int32_t s = QUELL_ERR_INTERNAL; s <= QUELL_OK; s++) assert_string_not_equal(quell_status_name(s), "QUELL_ERR_UNKNOWN");
+    for (int32_t s = QUELL_ERR_INTERNAL; s <= QUELL_OK; s++)
+        assert_string_not_equal(quell_status_name(s), "QUELL_ERR_UNKNOWN");
     assert_string_equal(quell_status_name(QUELL_ERR_INTERNAL - 1), "QUELL_ERR_UNKNOWN");
     assert_string_equal(quell_status_name(1), "QUELL_ERR_UNKNOWN");
     assert_int_equal(quell_version_number(),

@@ -20,8 +20,7 @@ typedef struct fixture {
 
 static quell_image packed(float *data)
 {
-    const quell_image image = {
-        .struct_size = sizeof image, .width = W, .height = H, .num_channels = 3, .data = data};
+    const quell_image image = {.struct_size = sizeof image, .width = W, .height = H, .num_channels = 3, .data = data};
     return image;
 }
 
@@ -164,8 +163,10 @@ static void limits_hold(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(working_memory_may_fail), cmocka_unit_test(memory_of_the_frame_may_fail),
-        cmocka_unit_test(layers_may_fail),         cmocka_unit_test(comparing_may_fail),
+        cmocka_unit_test(working_memory_may_fail),
+        cmocka_unit_test(memory_of_the_frame_may_fail),
+        cmocka_unit_test(layers_may_fail),
+        cmocka_unit_test(comparing_may_fail),
         cmocka_unit_test(limits_hold),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);

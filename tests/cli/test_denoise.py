@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,13 +165,17 @@ def test_kernels_agree(quell, data, tmp_path, exr_reader):
     for name in names:
         for channel, pixels in results["c"].items():
             if pixels.dtype == np.float32:
-                np.testing.assert_allclose(results[name][channel], pixels, rtol=2e-3, atol=2e-5, err_msg=f"{name} {channel}")
+                np.testing.assert_allclose(
+                    results[name][channel], pixels, rtol=2e-3, atol=2e-5, err_msg=f"{name} {channel}"
+                )
 
 
 def test_exposure_scales_exactly(quell, data, tmp_path, exr_reader, exr_writer):
     source = exr_reader(data / "50_zip_float.exr")
     pixels = np.stack([source[f"ViewLayer.Combined.{c}"] for c in "RGB"], axis=-1).astype(np.float32)
-    quell.ok("denoise", exr_writer(tmp_path / "a.exr", {"ViewLayer.Combined": pixels}), "-q", "-o", tmp_path / "a_out.exr")
+    quell.ok(
+        "denoise", exr_writer(tmp_path / "a.exr", {"ViewLayer.Combined": pixels}), "-q", "-o", tmp_path / "a_out.exr"
+    )
     scaled = exr_writer(tmp_path / "b.exr", {"ViewLayer.Combined": pixels * np.float32(2.0**9)})
     quell.ok("denoise", scaled, "-q", "-o", tmp_path / "b_out.exr")
     a, b = exr_reader(tmp_path / "a_out.exr"), exr_reader(tmp_path / "b_out.exr")
@@ -187,10 +190,16 @@ def test_other_readers_agree(quell, data, tmp_path):
             pytest.skip(f"{tool} is not installed")
     out = tmp_path / "out.exr"
     quell.ok("denoise", data / "45_zips_float.exr", "-q", "-o", out, "--layers", "beauty")
-    info = [subprocess.run(["oiiotool", "--info", "-v", p], capture_output=True, text=True, check=True).stdout
-            for p in (data / "45_zips_float.exr", out)]
-    strip = [[line for line in text.splitlines() if "Reading" not in line and not line.startswith("/")] for text in info]
-    assert [line for line in strip[0] if "channel list" in line] == [line for line in strip[1] if "channel list" in line]
+    info = [
+        subprocess.run(["oiiotool", "--info", "-v", p], capture_output=True, text=True, check=True).stdout
+        for p in (data / "45_zips_float.exr", out)
+    ]
+    strip = [
+        [line for line in text.splitlines() if "Reading" not in line and not line.startswith("/")] for text in info
+    ]
+    assert [line for line in strip[0] if "channel list" in line] == [
+        line for line in strip[1] if "channel list" in line
+    ]
     channels = "ViewLayer.DiffDir.R,ViewLayer.DiffDir.G,ViewLayer.DiffDir.B"
     parts = []
     for i, p in enumerate((data / "45_zips_float.exr", out)):
@@ -219,9 +228,10 @@ def test_report_says_what_was_done(quell, data, tmp_path):
     assert file["exit_code"] == 0 and file["output"].endswith("out.exr")
     assert file["summary"]["model"] and file["summary"]["peak_bytes"] > 0
     actions = {layer["name"]: layer for layer in file["layers"]}
-    assert actions["ViewLayer.Volume Indirect"] | {"action": "skip", "reason": "zero everywhere"} == actions[
-        "ViewLayer.Volume Indirect"
-    ]
+    assert (
+        actions["ViewLayer.Volume Indirect"] | {"action": "skip", "reason": "zero everywhere"}
+        == actions["ViewLayer.Volume Indirect"]
+    )
     assert actions["ViewLayer.Denoising Albedo"]["action"] == "guide"
     assert actions["ViewLayer.CryptoObject00"]["action"] == "keep"
     assert actions["ViewLayer.Combined"]["mean_before"] > 0
@@ -245,8 +255,21 @@ def test_valgrind_finds_nothing(quell, data, tmp_path):
     if not shutil.which("valgrind"):
         pytest.skip("valgrind is not installed")
     # Valgrind 3.19 does not know AVX-512: AVX2 is the widest it can run.
-    command = ["valgrind", "-q", "--error-exitcode=99", "--leak-check=full", "--show-leak-kinds=definite",
-               "--errors-for-leak-kinds=definite", quell.program, "denoise", data / "50_all.exr", "-q", "--cpu", "avx2",
-               "-o", tmp_path / "out.exr"]
+    command = [
+        "valgrind",
+        "-q",
+        "--error-exitcode=99",
+        "--leak-check=full",
+        "--show-leak-kinds=definite",
+        "--errors-for-leak-kinds=definite",
+        quell.program,
+        "denoise",
+        data / "50_all.exr",
+        "-q",
+        "--cpu",
+        "avx2",
+        "-o",
+        tmp_path / "out.exr",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr

@@ -208,8 +208,13 @@ def test_interrupt(quell, out, tmp_path, exr_writer):
 
 def test_progress_bar_on_a_terminal(quell, data, tmp_path):
     leader, follower = pty.openpty()
-    subprocess.run([quell.program, "denoise", data / "50_all.exr", "-o", tmp_path / "x.exr"], stderr=follower,
-                   stdout=subprocess.PIPE, env={**os.environ, "TERM": "xterm"}, check=True)
+    subprocess.run(
+        [quell.program, "denoise", data / "50_all.exr", "-o", tmp_path / "x.exr"],
+        stderr=follower,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "TERM": "xterm"},
+        check=True,
+    )
     os.close(follower)
     shown = os.read(leader, 100000).decode()
     os.close(leader)
@@ -218,8 +223,13 @@ def test_progress_bar_on_a_terminal(quell, data, tmp_path):
 
 def test_broken_standard_output(quell, data):
     with open("/dev/full", "w") as full:
-        done = subprocess.run([quell.program, "inspect", data / "45_plain.exr"], stdout=full, stderr=subprocess.PIPE,
-                              text=True, check=False)
+        done = subprocess.run(
+            [quell.program, "inspect", data / "45_plain.exr"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
     assert done.returncode == 6 and "standard output" in done.stderr
 
 

@@ -13,7 +13,13 @@ from PIL import Image
 
 
 def test_help_everywhere(quell):
-    for arguments in (["--help"], ["denoise", "--help"], ["inspect", "-h"], ["compare", "--help"], ["preview", "--help"]):
+    for arguments in (
+        ["--help"],
+        ["denoise", "--help"],
+        ["inspect", "-h"],
+        ["compare", "--help"],
+        ["preview", "--help"],
+    ):
         done = quell.ok(*arguments)
         assert done.stdout.startswith("Usage: quell") and done.stderr == ""
         assert all(len(line) <= 120 for line in done.stdout.splitlines())
@@ -66,7 +72,9 @@ def test_compare_matches_layers_by_meaning(quell, data):
 
 
 def test_compare_with_itself(quell, data):
-    layers = json.loads(quell.ok("compare", "--json", data / "50_all.exr", data / "50_all.exr", "--layers", "all").stdout)
+    layers = json.loads(
+        quell.ok("compare", "--json", data / "50_all.exr", data / "50_all.exr", "--layers", "all").stdout
+    )
     assert len(layers["layers"]) == 47
     for layer in layers["layers"]:
         assert layer["mse"] == 0 and layer["psnr"] is None and abs(layer["ssim"] - 1) < 1e-9
@@ -92,7 +100,9 @@ def test_preview_pixels(quell, data, tmp_path, exr_reader, exposure):
 
 def test_preview_sheet(quell, data, tmp_path):
     out = tmp_path / "x.png"
-    quell.ok("preview", data / "50_all.exr", data / "50_zip_float.exr", "-o", out, "--labels=Before,After", "--zoom", "4")
+    quell.ok(
+        "preview", data / "50_all.exr", data / "50_zip_float.exr", "-o", out, "--labels=Before,After", "--zoom", "4"
+    )
     assert Image.open(out).size == (2 * 45 * 4 + 4, 29 * 4)
     quell.ok("preview", data / "50_all.exr", "-o", out, "--crop", "10x8+30+20", "--layer", "Depth")
     assert Image.open(out).size == (10, 8)
