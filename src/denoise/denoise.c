@@ -17,6 +17,7 @@ typedef struct work {
     ql_plan plan;
     ql_scan *scans;
     float **results;
+    double *means; /* of the results */
     ql_job job;
     uint32_t tile_width, tile_height, num_tiles, halo;
     uint64_t planned_bytes;
@@ -225,6 +226,24 @@ static ql_region region_at(const work *w, uint32_t index)
 
 /* ---- Running ------------------------------------------------------------------------------------------------------ */
 
+typedef struct start_job {
+    const ql_layer *layer, *source;
+    float *out;
+    uint32_t width, height;
+} start_job;
+
+static void start_task(void *user, uint32_t task, uint32_t worker)
+{
+    const start_job *const job = user;
+    (void)worker;
+    for (uint32_t c = 0; c < job->layer->num_channels; ++c) {
+        float *const row = job->out + ((size_t)c * job->height + task) * job->width;
+        ql_layer_read_row(c < job->source->num_channels ? job->source : job->layer, job->width, c, task, row);
+        for (uint32_t x = 0; x < job->width; ++x)
+            if (!isfinite(row[x])) row[x] = 0.0f;
+    }
+}
+
 /* Results start as the source's pixels, bad ones as black: what no kernel reaches stays. */
 static quell_status start_results(work *w, ql_error *err)
 {
@@ -233,19 +252,13 @@ static quell_status start_results(work *w, ql_error *err)
     const uint32_t width = w->frame->width, height = w->frame->height;
     for (uint32_t i = 0; i < w->frame->num_layers; ++i) {
         if (w->plan.layers[i].action != QUELL_ACTION_DENOISED) continue;
-        const ql_layer *const layer = &w->frame->layers[i];
-        const ql_layer *const source = &w->frame->layers[w->plan.layers[i].source];
-        float *const out = ql_alloc(w->frame->memory, (size_t)layer->num_channels * height, width * sizeof *out);
-        if (out == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory for its result", layer->full_name);
-        w->results[i] = out;
-        for (uint32_t c = 0; c < layer->num_channels; ++c)
-            for (uint32_t y = 0; y < height; ++y) {
-                float *const row = out + ((size_t)c * height + y) * width;
-                const int from_source = c < source->num_channels;
-                ql_layer_read_row(from_source ? source : layer, width, c, y, row);
-                for (uint32_t x = 0; x < width; ++x)
-                    if (!isfinite(row[x])) row[x] = 0.0f;
-            }
+        start_job job = {.layer = &w->frame->layers[i], .width = width, .height = height};
+        job.source = &w->frame->layers[w->plan.layers[i].source];
+        job.out = ql_alloc(w->frame->memory, (size_t)job.layer->num_channels * height, width * sizeof *job.out);
+        if (job.out == NULL)
+            return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory for its result", job.layer->full_name);
+        w->results[i] = job.out;
+        QL_TRY(ql_env_run(w->env, height, start_task, &job));
     }
     return QUELL_OK;
 }
@@ -265,6 +278,42 @@ static ql_feature_setup feature_setup(const work *w, uint32_t set_index)
     };
     if (setup.has_depth) setup.depth_exponent = ql_log_exponent(w->scans[depth].bins, w->scans[depth].num_bins);
     return setup;
+}
+
+typedef struct mean_job {
+    const float *result;
+    size_t width;
+    double *sums; /* one per row of every colour channel */
+} mean_job;
+
+static void mean_task(void *user, uint32_t task, uint32_t worker)
+{
+    const mean_job *const job = user;
+    double sum = 0.0;
+    (void)worker;
+    for (size_t x = 0; x < job->width; ++x) sum += (double)job->result[task * job->width + x];
+    job->sums[task] = sum;
+}
+
+/* Rows are summed by themselves and then in order, so the mean does not depend on the threads. */
+static quell_status measure_means(work *w, ql_error *err)
+{
+    const uint32_t height = w->frame->height;
+    w->means = ql_alloc_zero(w->env->memory, w->frame->num_layers, sizeof *w->means);
+    double *const sums = ql_alloc(w->env->memory, 3 * (size_t)height, sizeof *sums);
+    quell_status status = QUELL_OK;
+    if (w->means == NULL || sums == NULL) status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: means");
+    for (uint32_t i = 0; i < w->frame->num_layers && status == QUELL_OK; ++i) {
+        if (w->results[i] == NULL) continue;
+        const uint32_t num_rows = num_colors(&w->frame->layers[i]) * height;
+        mean_job job = {w->results[i], w->frame->width, sums};
+        status = ql_env_run(w->env, num_rows, mean_task, &job);
+        double sum = 0.0;
+        for (uint32_t r = 0; r < num_rows && status == QUELL_OK; ++r) sum += sums[r];
+        w->means[i] = sum / ((double)num_rows * (double)w->frame->width);
+    }
+    ql_free(w->env->memory, sums);
+    return status;
 }
 
 static int set_has_work(const work *w, uint32_t set_index)
@@ -292,23 +341,11 @@ static quell_status run(work *w, ql_error *err)
             QL_TRY(ql_region_run(&w->job, w->env, s, &setup, &region, err));
         }
     }
-    return QUELL_OK;
+    w->env->progress_from = w->env->progress_to = 1.0;
+    return measure_means(w, err);
 }
 
 /* ---- Report ------------------------------------------------------------------------------------------------------- */
-
-static double result_mean(const work *w, uint32_t index)
-{
-    const ql_layer *const layer = &w->frame->layers[index];
-    const size_t row = w->frame->width, num_rows = (size_t)num_colors(layer) * w->frame->height;
-    double sum = 0.0;
-    for (size_t r = 0; r < num_rows; ++r) {
-        double line = 0.0;
-        for (size_t x = 0; x < row; ++x) line += (double)w->results[index][r * row + x];
-        sum += line;
-    }
-    return sum / ((double)num_rows * (double)row);
-}
 
 static quell_status make_report(const work *w, const ql_model *model, double seconds, int dry, ql_report **out,
                                 ql_error *err)
@@ -338,7 +375,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         if (plan->action != QUELL_ACTION_DENOISED) continue;
         layer->num_bad_pixels = scan->num_bad;
         layer->num_limited_pixels = scan->num_limited;
-        if (!dry) layer->mean_after = result_mean(w, i);
+        if (!dry) layer->mean_after = w->means[i];
         if (plan->group == QL_GROUP_COLOR) has_light = 1;
         else groups |= 1u << plan->group;
     }
@@ -401,6 +438,7 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     if (status == QUELL_OK && !dry && (options->flags & QUELL_DENOISE_KEEP_NOISY)) frame->add_noisy_image = 1;
     ql_free(env->memory, w.scans);
     ql_free(env->memory, w.results);
+    ql_free(env->memory, w.means);
     ql_plan_free(&w.plan, env->memory);
     return status;
 }
