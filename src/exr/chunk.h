@@ -6,19 +6,17 @@
 
 #include "exr/source.h"
 
-/* A worker's own: a pipeline that keeps its buffers, and the chunk that it decoded last. */
+/* A worker's own: a pipeline that keeps its buffers, and the chunk that it decoded last. All zero to begin with. */
 typedef struct ql_exr_decoder {
     exr_decode_pipeline_t pipeline;
     int is_open;
     uint32_t part;
-    int32_t chunk; /* -1: none */
+    int32_t chunk; /* once open; -1: none */
 } ql_exr_decoder;
 
-#define QL_EXR_DECODER_EMPTY {.chunk = -1}
-
 typedef struct ql_exr_lines {
-    const uint8_t *data; /* lent until the decoder's next call */
-    uint32_t first, count;  /* lines, counted from the top of the data window */
+    const uint8_t *data;   /* lent until the decoder's next call */
+    uint32_t first, count; /* lines, counted from the top of the data window */
 } ql_exr_lines;
 
 /* Decodes a chunk of a plain part; does nothing when it is the one decoded last. */

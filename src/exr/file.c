@@ -67,8 +67,8 @@ quell_status ql_file_open(ql_memory *memory, const char *path, ql_file **out, ql
     /* Not blocking: the open of a pipe would wait for its writer. It means nothing to a regular file. */
     const int descriptor = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (descriptor < 0) {
-        const quell_status status = errno == ENOENT || errno == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND
-                                                                        : QUELL_ERR_FILE_READ;
+        const quell_status status =
+            errno == ENOENT || errno == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND : QUELL_ERR_FILE_READ;
         return ql_fail(err, status, "%s: cannot be opened: %s", path, strerror(errno));
     }
     struct stat facts;
@@ -158,8 +158,7 @@ static quell_status check_target(const ql_file *file, mode_t *mode, ql_error *er
                        S_ISDIR(facts.st_mode) ? "a folder" : "a device or pipe");
     }
     if (access(file->target, W_OK) != 0) {
-        return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: exists and may not be written: %s", file->path,
-                       strerror(errno));
+        return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: exists and may not be written: %s", file->path, strerror(errno));
     }
     *mode = facts.st_mode & 07777;
     return QUELL_OK;
@@ -254,8 +253,8 @@ quell_status ql_file_commit(ql_file *file, ql_error *err)
     file->descriptor = -1;
     if (!error && rename(file->temporary, file->target) != 0) error = errno;
     if (error) {
-        const quell_status status = ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path,
-                                            reason_of(error));
+        const quell_status status =
+            ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path, reason_of(error));
         ql_file_discard(file);
         return status;
     }

@@ -32,10 +32,10 @@ typedef struct ql_exr_part_header {
 
 typedef struct ql_exr_header {
     ql_memory *memory;
-    uint32_t version;          /* the second word of the file: version and flags */
-    uint8_t *raw;              /* everything between that word and the chunk tables */
+    uint32_t version;             /* the second word of the file: version and flags */
+    uint8_t *raw;                 /* everything between that word and the chunk tables */
     ql_exr_attribute *attributes; /* of all parts, one after the other */
-    ql_exr_part_header *parts; /* as many as the source has */
+    ql_exr_part_header *parts;    /* as many as the source has */
 } ql_exr_header;
 
 #define QL_EXR_FLAG_LONG_NAMES 0x400u

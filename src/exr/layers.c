@@ -97,8 +97,7 @@ static quell_status choose_size(listing *list, ql_error *err)
         const int is_alike = memcmp(&part->window, &chosen->window, sizeof part->window) == 0;
         part->is_listed = part->is_plain && is_alike;
         if (part->is_listed) continue;
-        snprintf(text, sizeof text, "%s: %s; it is kept as it is",
-                 ql_exr_source_where(source, p, where, sizeof where),
+        snprintf(text, sizeof text, "%s: %s; it is kept as it is", ql_exr_source_where(source, p, where, sizeof where),
                  part->is_plain ? "has another size or place than the first" : "is tiled, deep or subsampled");
         warn(list->env, text);
     }

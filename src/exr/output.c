@@ -54,7 +54,7 @@ typedef struct extra_layer {
     const ql_layer *layer;
     int use_result;
     int is_noisy;
-    int32_t part;   /* of the source: its channels join that part, or its header serves the new part */
+    int32_t part; /* of the source: its channels join that part, or its header serves the new part */
     int is_own_part;
     int32_t before; /* own part: index of the source part that it stands before, num_parts for the end */
 } extra_layer;
@@ -83,8 +83,7 @@ static int32_t noisy_place(const ql_frame *frame, const ql_layer *combined)
         if (strcmp(layer->view_layer, combined->view_layer) != 0 || layer->channel_index[0] < 0) continue;
         const int32_t part = (int32_t)layer->part;
         const int stands_behind = layer->role == QUELL_ROLE_NOISY_SHADOW_CATCHER ||
-                                  layer->role == QUELL_ROLE_LIGHT_GROUP ||
-                                  strncmp(layer->pass, "Denoising ", 10) == 0;
+                                  layer->role == QUELL_ROLE_LIGHT_GROUP || strncmp(layer->pass, "Denoising ", 10) == 0;
         if (stands_behind && part < first) first = part;
         if (part >= last) last = part + 1;
     }
@@ -185,8 +184,8 @@ static void draft_source_channels(const ql_exr_output *output, uint32_t index, d
     for (int32_t c = 0; c < part->channels->num_channels; c++) {
         const exr_attr_chlist_entry_t *entry = &part->channels->entries[c];
         const size_t num_bytes = part->width * ql_exr_value_bytes(entry->pixel_type);
-        drafts[c].channel = (ql_exr_channel){
-            .name = entry->name.str, .type = entry->pixel_type, .is_linear = entry->p_linear};
+        drafts[c].channel =
+            (ql_exr_channel){.name = entry->name.str, .type = entry->pixel_type, .is_linear = entry->p_linear};
         drafts[c].segment =
             (ql_exr_segment){.kind = QL_EXR_FROM_SOURCE, .num_bytes = num_bytes, .source_offset = offset};
         offset += num_bytes;
@@ -271,30 +270,19 @@ static quell_status settle_channels(ql_exr_output *output, ql_exr_output_part *p
 static exr_compression_t choose_compression(exr_compression_t own, int32_t codec)
 {
     switch (codec) {
-    case QUELL_CODEC_NONE:
-        return EXR_COMPRESSION_NONE;
-    case QUELL_CODEC_RLE:
-        return EXR_COMPRESSION_RLE;
-    case QUELL_CODEC_ZIPS:
-        return EXR_COMPRESSION_ZIPS;
-    case QUELL_CODEC_ZIP:
-        return EXR_COMPRESSION_ZIP;
-    case QUELL_CODEC_PIZ:
-        return EXR_COMPRESSION_PIZ;
-    case QUELL_CODEC_PXR24:
-        return EXR_COMPRESSION_PXR24;
-    case QUELL_CODEC_B44:
-        return EXR_COMPRESSION_B44;
-    case QUELL_CODEC_B44A:
-        return EXR_COMPRESSION_B44A;
-    case QUELL_CODEC_DWAA:
-        return EXR_COMPRESSION_DWAA;
-    case QUELL_CODEC_DWAB:
-        return EXR_COMPRESSION_DWAB;
+    case QUELL_CODEC_NONE: return EXR_COMPRESSION_NONE;
+    case QUELL_CODEC_RLE: return EXR_COMPRESSION_RLE;
+    case QUELL_CODEC_ZIPS: return EXR_COMPRESSION_ZIPS;
+    case QUELL_CODEC_ZIP: return EXR_COMPRESSION_ZIP;
+    case QUELL_CODEC_PIZ: return EXR_COMPRESSION_PIZ;
+    case QUELL_CODEC_PXR24: return EXR_COMPRESSION_PXR24;
+    case QUELL_CODEC_B44: return EXR_COMPRESSION_B44;
+    case QUELL_CODEC_B44A: return EXR_COMPRESSION_B44A;
+    case QUELL_CODEC_DWAA: return EXR_COMPRESSION_DWAA;
+    case QUELL_CODEC_DWAB: return EXR_COMPRESSION_DWAB;
     case QUELL_CODEC_HTJ2K: /* Blender's block size, but a file's own is as good */
         return own == EXR_COMPRESSION_HTJ2K256 ? own : EXR_COMPRESSION_HTJ2K32;
-    default:
-        return exr_compression_is_lossy(own) ? EXR_COMPRESSION_ZIP : own;
+    default: return exr_compression_is_lossy(own) ? EXR_COMPRESSION_ZIP : own;
     }
 }
 
@@ -314,8 +302,8 @@ static quell_status open_codec(ql_exr_output *output, ql_exr_output_part *part, 
     QL_TRY(ql_exr_codec_open(&part->codec, &output->messages, &part->window, part->compression,
                              dwa_level_of(output, part), part->channels, part->num_channels, output->path, err));
     part->num_chunks = part->codec.num_chunks;
-    uint32_t lines = part->codec.lines_per_chunk > MIN_LINES_PER_TASK ? part->codec.lines_per_chunk
-                                                                      : MIN_LINES_PER_TASK;
+    uint32_t lines =
+        part->codec.lines_per_chunk > MIN_LINES_PER_TASK ? part->codec.lines_per_chunk : MIN_LINES_PER_TASK;
     if (part->needs_source) { /* both kinds of chunks begin with the task: their heights are powers of two */
         const uint32_t source_lines = (uint32_t)output->source->parts[part->source_part].lines_per_chunk;
         if (source_lines > lines) lines = source_lines;
@@ -409,8 +397,8 @@ static quell_status add_extra_part(ql_exr_output *output, const extra_layer *ext
     uint32_t count = 0;
     extra_name(extra, 0, '.', prefix, sizeof prefix);
     extra_name(extra, 1, '-', name, sizeof name);
-    quell_status status = is_part_name_taken(output->source, name) ? name_error(output, name, "is taken", err)
-                                                                   : QUELL_OK;
+    quell_status status =
+        is_part_name_taken(output->source, name) ? name_error(output, name, "is taken", err) : QUELL_OK;
     if (status == QUELL_OK) {
         status = draft_layer(output, extra->layer, extra->use_result, prefix, base->width, drafts, &count, err);
     }
@@ -468,8 +456,8 @@ static quell_status add_source_part(ql_exr_output *output, uint32_t index, const
         char prefix[512];
         if (extras[e].is_own_part || extras[e].part != (int32_t)index) continue;
         extra_name(&extras[e], 1, '.', prefix, sizeof prefix);
-        const quell_status status = draft_layer(output, extras[e].layer, extras[e].use_result, prefix, source->width,
-                                                drafts, &count, err);
+        const quell_status status =
+            draft_layer(output, extras[e].layer, extras[e].use_result, prefix, source->width, drafts, &count, err);
         QL_TRY(forgive_noisy(output, &extras[e], status));
         if (status == QUELL_OK) part->has_new_channels = 1;
     }
@@ -490,8 +478,8 @@ static quell_status plan_from_source(ql_exr_output *output, int32_t codec, ql_er
         most_channels += (size_t)source->parts[p].channels->num_channels;
     }
     drafts = ql_alloc_zero(output->memory, most_channels, sizeof *drafts);
-    output->parts = ql_alloc_zero(output->memory, (size_t)source->num_parts + (size_t)num_layers * 2,
-                                  sizeof *output->parts);
+    output->parts =
+        ql_alloc_zero(output->memory, (size_t)source->num_parts + (size_t)num_layers * 2, sizeof *output->parts);
     if (!extras || !drafts || !output->parts) {
         status = out_of_memory(output, err);
         goto fail;
@@ -564,8 +552,7 @@ fail:
 quell_status ql_exr_output_open(ql_exr_output *output, ql_env *env, const ql_frame *frame, int32_t codec,
                                 const char *path, ql_error *err)
 {
-    *output = (ql_exr_output){
-        .memory = env->memory, .env = env, .frame = frame, .source = frame->source, .path = path};
+    *output = (ql_exr_output){.memory = env->memory, .env = env, .frame = frame, .source = frame->source, .path = path};
     QL_TRY(ql_exr_messages_init(&output->messages, err));
     quell_status status;
     if (output->source) {
@@ -602,11 +589,9 @@ void ql_exr_output_close(ql_exr_output *output)
 
 /* ---- Header ------------------------------------------------------------------------------------------------------ */
 
-static void append_attribute(ql_exr_bytes *out, const char *name, const char *type, const void *value,
-                             size_t num_bytes)
+static void append_attribute(ql_exr_bytes *out, const char *name, const char *type, const void *value, size_t num_bytes)
 {
-    const ql_exr_attribute attribute = {
-        .name = name, .type = type, .value = value, .num_bytes = (uint32_t)num_bytes};
+    const ql_exr_attribute attribute = {.name = name, .type = type, .value = value, .num_bytes = (uint32_t)num_bytes};
     ql_exr_append_attribute(out, &attribute);
 }
 
@@ -628,9 +613,9 @@ static void append_i32(ql_exr_bytes *out, const char *name, int32_t value)
 static int is_structural(const char *name)
 {
     static const char *const names[] = {
-        "channels",  "chunkCount", "chromaticities", "colorInteropID",     "compression",       "dataWindow",
-        "displayWindow", "lineOrder",  "name",       "pixelAspectRatio",   "screenWindowCenter", "screenWindowWidth",
-        "timeCode",  "type",       "view",           "xDensity",
+        "channels",      "chunkCount", "chromaticities", "colorInteropID",   "compression",        "dataWindow",
+        "displayWindow", "lineOrder",  "name",           "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth",
+        "timeCode",      "type",       "view",           "xDensity",
     };
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
         if (strcmp(name, names[i]) == 0) return 1;

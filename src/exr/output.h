@@ -10,8 +10,8 @@
 typedef struct ql_exr_segment {
     enum { QL_EXR_FROM_SOURCE, QL_EXR_FROM_RESULT, QL_EXR_FROM_PIXELS } kind;
     size_t num_bytes;
-    size_t source_offset;   /* FROM_SOURCE: in the source part's line */
-    const ql_layer *layer;  /* FROM_RESULT, FROM_PIXELS: one row of this layer's channel */
+    size_t source_offset;  /* FROM_SOURCE: in the source part's line */
+    const ql_layer *layer; /* FROM_RESULT, FROM_PIXELS: one row of this layer's channel */
     uint32_t layer_channel;
     int32_t format;
 } ql_exr_segment;
@@ -24,16 +24,16 @@ typedef struct ql_exr_output_part {
     exr_compression_t compression;
     exr_lineorder_t line_order;
     exr_attr_box2i_t window;
-    char *name;                       /* is_new: of the part; owned */
-    ql_exr_channel *channels;         /* not copied; sorted by name; names owned by the output */
+    char *name;               /* is_new: of the part; owned */
+    ql_exr_channel *channels; /* not copied; sorted by name; names owned by the output */
     ql_exr_segment *segments;
     uint32_t num_channels, num_segments;
-    int needs_source;                 /* some segment is FROM_SOURCE */
+    int needs_source; /* some segment is FROM_SOURCE */
     int has_new_channels;
-    ql_exr_codec codec;               /* not copied */
+    ql_exr_codec codec; /* not copied */
     uint32_t num_chunks, chunks_per_task, first_task, num_tasks;
-    uint32_t *order;                  /* copied: chunks in the order of their place in the source */
-    uint64_t *offsets;                /* of the chunks: inside their block, then in the file */
+    uint32_t *order;   /* copied: chunks in the order of their place in the source */
+    uint64_t *offsets; /* of the chunks: inside their block, then in the file */
 } ql_exr_output_part;
 
 typedef struct ql_exr_output {

@@ -42,14 +42,14 @@ typedef struct ql_exr_part {
     exr_storage_t storage;
     exr_compression_t compression;
     exr_lineorder_t line_order;
-    exr_attr_box2i_t window;              /* data window */
-    uint32_t width, height;               /* of the data window */
-    const exr_attr_chlist_t *channels;    /* lent by OpenEXR */
-    const char *name, *view;              /* lent by OpenEXR, "" where absent */
-    int32_t num_chunks, lines_per_chunk;  /* lines: 0 unless scanlines */
-    size_t line_bytes;                    /* all channels, uncompressed; 0 unless is_plain */
-    int is_plain;                         /* scanlines, no subsampling: chunks can be decoded here */
-    int is_listed;                        /* is_plain, and of the frame's size and place */
+    exr_attr_box2i_t window;             /* data window */
+    uint32_t width, height;              /* of the data window */
+    const exr_attr_chlist_t *channels;   /* lent by OpenEXR */
+    const char *name, *view;             /* lent by OpenEXR, "" where absent */
+    int32_t num_chunks, lines_per_chunk; /* lines: 0 unless scanlines */
+    size_t line_bytes;                   /* all channels, uncompressed; 0 unless is_plain */
+    int is_plain;                        /* scanlines, no subsampling: chunks can be decoded here */
+    int is_listed;                       /* is_plain, and of the frame's size and place */
 } ql_exr_part;
 
 struct ql_exr_source {

@@ -14,7 +14,7 @@ typedef struct ql_exr_stream {
     struct {
         uint8_t *data; /* NULL: not there yet */
         size_t num_bytes;
-    } *blocks;
+    } * blocks;
     uint64_t *offsets; /* where each block stands in the file, once written */
     uint64_t offset;   /* of the next block */
     uint64_t waiting_bytes;

@@ -88,8 +88,8 @@ static quell_status copy_chunk(ql_exr_source *source, const ql_exr_output_part *
     const size_t num_bytes = leader_bytes + (size_t)data_bytes;
 
     ql_exr_bytes_reserve(block, num_bytes);
-    if (block->has_failed) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: no memory to copy it",
-                                          ql_file_path(source->file));
+    if (block->has_failed)
+        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: no memory to copy it", ql_file_path(source->file));
     uint8_t *to = block->data + block->used;
     if (ql_file_read(source->file, to, num_bytes, offset, &reason) != 0) goto fail;
     if (source->is_multi_part) {
@@ -99,8 +99,7 @@ static quell_status copy_chunk(ql_exr_source *source, const ql_exr_output_part *
     return QUELL_OK;
 
 fail:
-    return ql_fail(err, QUELL_ERR_FILE_READ, "%s: %s", ql_exr_source_where(source, index, where, sizeof where),
-                   reason);
+    return ql_fail(err, QUELL_ERR_FILE_READ, "%s: %s", ql_exr_source_where(source, index, where, sizeof where), reason);
 }
 
 static quell_status copy_task(writing *job, ql_exr_output_part *part, uint32_t first, uint32_t end, ql_exr_bytes *block,
@@ -231,9 +230,8 @@ static void write_task(void *user, uint32_t task, uint32_t worker)
     ql_exr_bytes block = {.memory = job->output->memory};
     ql_error error = {.status = QUELL_OK};
 
-    quell_status status = part->is_copied
-                              ? copy_task(job, part, first, end, &block, &error)
-                              : encode_task(job, part, &job->workers[worker], first, end, &block, &error);
+    quell_status status = part->is_copied ? copy_task(job, part, first, end, &block, &error)
+                                          : encode_task(job, part, &job->workers[worker], first, end, &block, &error);
     if (status == QUELL_OK) {
         status = ql_exr_stream_put(&job->stream, task, &block, &error);
     } else {

@@ -25,12 +25,12 @@ typedef struct ql_layer {
     int32_t format;
     uint32_t samples;
     const char *compression; /* static text */
-    ql_view pixels;          /* what came in, in reading order of channels; data NULL: not decoded (roles that no denoise
+    ql_view pixels;      /* what came in, in reading order of channels; data NULL: not decoded (roles that no denoise
                                 reads), see ql_exr_load_layer */
-    void *owned;             /* the memory behind pixels, NULL when borrowed */
-    float *result;           /* [num_channels][height][width], NULL until denoised; owned */
-    int32_t is_denoised;     /* filtered by a denoise; a borrowed layer then has its result in the caller's pixels */
-    uint32_t part;           /* of the file */
+    void *owned;         /* the memory behind pixels, NULL when borrowed */
+    float *result;       /* [num_channels][height][width], NULL until denoised; owned */
+    int32_t is_denoised; /* filtered by a denoise; a borrowed layer then has its result in the caller's pixels */
+    uint32_t part;       /* of the file */
     int32_t channel_index[4]; /* index of each channel in its part's channel list */
 } ql_layer;
 

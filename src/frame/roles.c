@@ -163,14 +163,10 @@ const char *ql_role_channels(int32_t role, uint32_t num_channels)
 int ql_role_fits_channels(int32_t role, const char *channels)
 {
     switch (facts_of(role)->kind) {
-    case KIND_COLOR:
-        return strcmp(channels, "RGB") == 0 || strcmp(channels, "RGBA") == 0;
-    case KIND_VECTOR:
-        return strcmp(channels, "XYZ") == 0 || strcmp(channels, "RGB") == 0;
-    case KIND_SCALAR:
-        return strlen(channels) == 1;
-    default:
-        return 1;
+    case KIND_COLOR: return strcmp(channels, "RGB") == 0 || strcmp(channels, "RGBA") == 0;
+    case KIND_VECTOR: return strcmp(channels, "XYZ") == 0 || strcmp(channels, "RGB") == 0;
+    case KIND_SCALAR: return strlen(channels) == 1;
+    default: return 1;
     }
 }
 

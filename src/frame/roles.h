@@ -7,7 +7,7 @@
 
 /* The kernels that filter a layer; layers of one group share them. */
 enum {
-    QL_GROUP_NONE = -1, /* never filtered by default */
+    QL_GROUP_NONE = -1,  /* never filtered by default */
     QL_GROUP_BEAUTY = 0, /* Combined, emission, environment, ambient occlusion, shadow catcher, light groups */
     QL_GROUP_DIFFUSE = 1,
     QL_GROUP_GLOSSY = 2,

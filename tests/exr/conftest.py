@@ -1,66 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tool that the tests of src/exr drive, and readers of what it wrote that are not ours."""
+"""The test tool, plain and under sanitizers."""
 
 from __future__ import annotations
 
 import os
 import subprocess
-from dataclasses import dataclass
-from pathlib import Path
 
-import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT / "tests" / "data"
+from exr_tools import ROOT, Tool, build_tool
 
 
-@dataclass
-class Result:
-    code: int
-    out: str
-    err: str
-
-
-class Tool:
-    """exr_copy; see its first lines for the options."""
-
-    def __init__(self, program: Path) -> None:
-        self.program = program
-
-    def __call__(self, *args: object, env: dict[str, str] | None = None, timeout: float = 120) -> Result:
-        done = subprocess.run(
-            [str(self.program), *map(str, args)],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=timeout,
-            env={**os.environ, **(env or {})},
-            check=False,
-        )
-        return Result(done.returncode, done.stdout, done.stderr)
-
-    def ok(self, *args: object) -> Result:
-        result = self(*args)
-        assert result.code == 0, result.err
-        return result
-
-
-def build_tool(folder: Path, *flags: str) -> Path:
-    """Compiles the tool with what of the library it needs, so that it can have sanitizers of its own."""
-    openexr = ROOT / "build" / "third_party" / "openexr"
-    program = folder / "exr_copy"
-    sources = [ROOT / "tests" / "exr" / "exr_copy.c"]
-    for name in ("exr", "frame", "base"):
-        sources += sorted((ROOT / "src" / name).glob("*.c"))
-    command = [os.environ.get("CC", "cc"), "-std=c11", "-D_POSIX_C_SOURCE=200809L", "-g", *flags]
-    command += [f"-I{ROOT}/include", f"-I{ROOT}/src", "-isystem", f"{openexr}/include", "-o", str(program)]
-    command += [str(source) for source in sources] + (openexr / "link.flags").read_text().split()
-    subprocess.run(command, check=True)
-    return program
-
-
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="session")
 def openexr_core() -> None:
     script = ROOT / "scripts" / "build_openexr.sh"
     environment = {k: v for k, v in os.environ.items() if k not in ("CFLAGS", "CXXFLAGS", "MAKEFLAGS")}
@@ -77,37 +27,3 @@ def checked_tool(openexr_core: None, tmp_path_factory: pytest.TempPathFactory) -
     """The same under the address and undefined-behaviour sanitizers."""
     folder = tmp_path_factory.mktemp("checked_tool")
     return Tool(build_tool(folder, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"))
-
-
-@dataclass
-class Part:
-    header: dict[str, object]
-    channels: dict[str, np.ndarray]
-
-
-def read(path: Path) -> list[Part]:
-    """Every part with its header and channels in their own types, by OpenEXR's Python module."""
-    import OpenEXR
-
-    parts = []
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            channels = {name: np.array(channel.pixels) for name, channel in part.channels.items()}
-            parts.append(Part(dict(part.header), channels))
-    return parts
-
-
-def bits(pixels: np.ndarray) -> np.ndarray:
-    """The same pixels as integers: NaN equals NaN, and -0 is not 0."""
-    return np.ascontiguousarray(pixels).view({2: np.uint16, 4: np.uint32}[pixels.dtype.itemsize])
-
-
-def plain(value: object) -> object:
-    """A header value in a form that compares with ==."""
-    if isinstance(value, np.ndarray):
-        return ("array", str(value.dtype), value.tolist())
-    if isinstance(value, (tuple, list)):
-        return [plain(v) for v in value]
-    if isinstance(value, (str, bytes, int, float, bool)):
-        return value
-    return str(value)

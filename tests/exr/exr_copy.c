@@ -73,8 +73,8 @@ static quell_status run(const options *opt, ql_env *env, ql_error *err)
     ql_frame *frame = NULL;
     double start = ql_clock_seconds();
     QL_TRY(ql_exr_read(env, opt->in, 0, &frame, err));
-    if (opt->timing) fprintf(stderr, "read %.3f s, %.1f MB\n", ql_clock_seconds() - start,
-                             (double)frame->memory->used_bytes / 1e6);
+    if (opt->timing)
+        fprintf(stderr, "read %.3f s, %.1f MB\n", ql_clock_seconds() - start, (double)frame->memory->used_bytes / 1e6);
     quell_status status = QUELL_OK;
     if (opt->list) list(frame);
     for (uint32_t i = 0; i < frame->num_layers && status == QUELL_OK; i++) {

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import DATA, Part, Tool, bits, plain, read
+from exr_tools import DATA, Part, Tool, bits, plain, read
 
 FIXTURES = sorted(p.name for p in DATA.glob("*.exr") if p.name != "conv_tiled.exr")
 LOSSY = {"DWAA", "DWAB", "B44", "B44A", "PXR24"}

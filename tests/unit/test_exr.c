@@ -169,8 +169,7 @@ static void test_lossless_codecs_agree(void **state)
             assert_int_equal(ql_exr_load_layer(&fix->env, a, l, &fix->error), QUELL_OK);
             ql_layer *other = layer_of(b, a->layers[l].full_name);
             assert_int_equal(ql_exr_load_layer(&fix->env, b, (uint32_t)(other - b->layers), &fix->error), QUELL_OK);
-            const size_t bytes =
-                (size_t)45 * 29 * a->layers[l].num_channels * ql_format_bytes(a->layers[l].format);
+            const size_t bytes = (size_t)45 * 29 * a->layers[l].num_channels * ql_format_bytes(a->layers[l].format);
             assert_memory_equal(a->layers[l].owned, other->owned, bytes);
         }
         ql_frame_destroy(a);
@@ -337,8 +336,7 @@ static void test_layer_added_to_a_file(void **state)
         assert_int_equal(frame->num_layers, before + 1);
         layer = layer_of(frame, "ViewLayer.Confidence");
         assert_string_equal(layer->channels, "V");
-        assert_int_equal(ql_exr_load_layer(&fix->env, frame, (uint32_t)(layer - frame->layers), &fix->error),
-                         QUELL_OK);
+        assert_int_equal(ql_exr_load_layer(&fix->env, frame, (uint32_t)(layer - frame->layers), &fix->error), QUELL_OK);
         assert_true(pixel(layer, 45, 0, 44, 28) == (float)(45 * 29 - 1));
         ql_frame_destroy(frame);
     }

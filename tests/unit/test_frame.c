@@ -35,8 +35,10 @@ static void test_all_halves_to_float(void **state)
 static void check_floats_to_half(const float *values, uint32_t count)
 {
     uint16_t packed[256], spread[512];
-    const ql_view dense = {.data = (uint8_t *)packed, .format = QUELL_FORMAT_HALF, .num_channels = 1, .pixel_stride = 2};
-    const ql_view sparse = {.data = (uint8_t *)spread, .format = QUELL_FORMAT_HALF, .num_channels = 1, .pixel_stride = 4};
+    const ql_view dense = {
+        .data = (uint8_t *)packed, .format = QUELL_FORMAT_HALF, .num_channels = 1, .pixel_stride = 2};
+    const ql_view sparse = {
+        .data = (uint8_t *)spread, .format = QUELL_FORMAT_HALF, .num_channels = 1, .pixel_stride = 4};
     ql_view_write_row(&dense, count, 0, 0, values);
     ql_view_write_row(&sparse, count, 0, 0, values);
     for (uint32_t i = 0; i < count; i++) {
@@ -49,9 +51,9 @@ static void test_floats_to_half(void **state)
 {
     (void)state;
     static const uint32_t edges[] = {
-        0,          0x00000001, 0x007fffff, 0x00800000, 0x32ffffff, 0x33000000, 0x33000001, 0x387fffff, 0x38800000,
-        0x38801000, 0x38801001, 0x3f800000, 0x3f801000, 0x3f803000, 0x477fe000, 0x477fefff, 0x477ff000, 0x477fffff,
-        0x47800000, 0x7f7fffff, 0x7f800000, 0x7f800001, 0x7fc00000, 0x7fffffff,
+        0,          0x00000001, 0x007fffff, 0x00800000, 0x32ffffff, 0x33000000, 0x33000001, 0x387fffff,
+        0x38800000, 0x38801000, 0x38801001, 0x3f800000, 0x3f801000, 0x3f803000, 0x477fe000, 0x477fefff,
+        0x477ff000, 0x477fffff, 0x47800000, 0x7f7fffff, 0x7f800000, 0x7f800001, 0x7fc00000, 0x7fffffff,
     };
     float values[256];
     uint32_t seed = 12345;

@@ -11,11 +11,20 @@ static void test_both_name_tables_agree(void **state)
 {
     (void)state;
     static const char *const pairs[][2] = {
-        {"DiffDir", "Diffuse Direct"},       {"DiffInd", "Diffuse Indirect"},       {"DiffCol", "Diffuse Color"},
-        {"GlossDir", "Glossy Direct"},       {"GlossInd", "Glossy Indirect"},       {"GlossCol", "Glossy Color"},
-        {"TransDir", "Transmission Direct"}, {"TransInd", "Transmission Indirect"}, {"TransCol", "Transmission Color"},
-        {"VolumeDir", "Volume Direct"},      {"VolumeInd", "Volume Indirect"},      {"Emit", "Emission"},
-        {"Env", "Environment"},              {"AO", "Ambient Occlusion"},
+        {"DiffDir", "Diffuse Direct"},
+        {"DiffInd", "Diffuse Indirect"},
+        {"DiffCol", "Diffuse Color"},
+        {"GlossDir", "Glossy Direct"},
+        {"GlossInd", "Glossy Indirect"},
+        {"GlossCol", "Glossy Color"},
+        {"TransDir", "Transmission Direct"},
+        {"TransInd", "Transmission Indirect"},
+        {"TransCol", "Transmission Color"},
+        {"VolumeDir", "Volume Direct"},
+        {"VolumeInd", "Volume Indirect"},
+        {"Emit", "Emission"},
+        {"Env", "Environment"},
+        {"AO", "Ambient Occlusion"},
     };
     for (size_t i = 0; i < sizeof pairs / sizeof pairs[0]; i++) {
         assert_int_not_equal(ql_role_from_pass(pairs[i][0]), QUELL_ROLE_OTHER);

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from conftest import DATA, Tool
+from exr_tools import DATA, Tool
 
 NOT_FOUND, READ, WRITE, NOT_EXR, UNSUPPORTED, LIMIT = 4, 5, 6, 7, 8, 12
 
