@@ -239,7 +239,10 @@ def choose_gain(preview: np.ndarray, brightness: float | None) -> float | None:
     """Return the factor that brings the mean tone-mapped luminance to what is wanted."""
     if brightness is None:
         return 1.0
-    light = smooth(luminance(preview[pass_slice("Combined")]))
+    combined = preview[pass_slice("Combined")]
+    light, alpha = smooth(luminance(combined)), smooth(combined[3])
+    # On transparent film the emptiness around a cut-out says nothing about its exposure.
+    light = light[alpha > 0.5] if (alpha > 0.5).mean() > 0.02 else light
     low, high = math.log(1 / 512), math.log(512)
     for _ in range(40):
         middle = (low + high) / 2

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -101,6 +102,14 @@ def plaster(stage: Stage) -> bpy.types.Material:
         colors = (mat.random_color(rng, 0.4), mat.random_color(rng, 0.4))
         return mat.texture_color(material, rng, colors, log_uniform(rng, 3, 20))
     return mat.tiles(rng) if draw < 0.85 else mat.wood(rng) if draw < 0.93 else mat.stone(rng)
+
+
+def plaster_outside(rng: random.Random) -> bpy.types.Material:
+    """Return weathered paint for a facade."""
+    color = mat.mix_color(mat.random_color(rng, 0.5), (0.8, 0.78, 0.72), 0.5)
+    material = mat.diffuse(rng, color)
+    mat.texture_color(material, rng, (mat.mix_color(color, (0.1, 0.1, 0.1), 0.25), color), rng.uniform(0.5, 3))
+    return mat.add_bump(material, rng, rng.uniform(20, 80), ("noise",))
 
 
 def slab(
