@@ -85,6 +85,15 @@ static float brightest_neighbour(const float *center, size_t stride, uint32_t x,
     return bound;
 }
 
+/* Whether one of the four nearest neighbours already shows that a pixel is no firefly: true of nearly all. */
+static int has_peer(const float *center, size_t stride, uint32_t x, uint32_t width)
+{
+    const float here = center[x];
+    return (x > 0 && QL_FIREFLY_FACTOR * center[x - 1] >= here) ||
+           (x + 1 < width && QL_FIREFLY_FACTOR * center[x + 1] >= here) ||
+           QL_FIREFLY_FACTOR * (center - stride)[x] >= here || QL_FIREFLY_FACTOR * (center + stride)[x] >= here;
+}
+
 static void find_fixes(const scan_job *job, uint32_t y, const float *luminance, size_t stride, const float *emitted,
                        band *b)
 {
@@ -93,8 +102,8 @@ static void find_fixes(const scan_job *job, uint32_t y, const float *luminance, 
         if (here == -INFINITY) {
             add_fix(b, x, y, 0.0f);
             ++b->num_bad;
-        } else if ((job->flags & QL_SCAN_LIMIT) && here > 0.0f) {
-            float bound = QL_FIREFLY_FACTOR * brightest_neighbour(luminance + 0, stride, x, job->width);
+        } else if ((job->flags & QL_SCAN_LIMIT) && here > 0.0f && !has_peer(luminance, stride, x, job->width)) {
+            float bound = QL_FIREFLY_FACTOR * brightest_neighbour(luminance, stride, x, job->width);
             if (emitted && 2.0f * emitted[x] > bound) bound = 2.0f * emitted[x];
             if (here > bound && bound > 0.0f) {
                 add_fix(b, x, y, bound / here);
