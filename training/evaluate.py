@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from training import peer
-from training.data.pack import INPUT, select_passes, to_target
+from training.data.pack import CLOSURE_TOLERANCE, INPUT, closure_error, select_passes, to_target
 from training.data.crops import to_guides, to_layers
 from training.data.store import FrameRecord, list_frames, pass_slice, read_render
 from training.export import load_run, round_to_half
@@ -41,11 +41,9 @@ def evaluate_frame(model: Quell | None, record: FrameRecord, spp: int, use_peer:
     candidates = {env: select_passes(render, env) for env in (True, False)}
     errors = {}
     for env, x in candidates.items():
-        t = to_target(x)
-        total = t[3:15].reshape(4, 3, *t.shape[1:]).sum(0) + t[24:27]
-        errors[env] = float(np.abs(total - t[:3]).mean() / max(t[:3].mean(), 1e-6))
+        errors[env] = closure_error(to_target(x))
     x = candidates[min(errors, key=errors.get)]
-    closes = min(errors.values()) < 5e-3
+    closes = min(errors.values()) < CLOSURE_TOLERANCE
     noisy = x[INPUT["beauty"]]
     out = {"noisy": rel_mse(noisy, *refs)}
     tensor = torch.from_numpy(x)[None]

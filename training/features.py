@@ -25,7 +25,7 @@ class Layers:
     """What is filtered. Scene-linear, finite. light and color are None when the frame has no light passes."""
 
     beauty: Tensor  # [n,3,h,w]
-    light: Tensor | None = None  # [n,4,3,h,w]: diffuse, glossy, transmission (direct + indirect), volume
+    light: Tensor | None = None  # [n,4,2,3,h,w]: diffuse, glossy, transmission, volume; direct, indirect
     color: Tensor | None = None  # [n,3,3,h,w]: diffuse, glossy, transmission
     emission: Tensor | None = None  # [n,3,h,w]: what else belongs to Combined: emission and environment
 
@@ -107,7 +107,7 @@ def make_features(
     scale = torch.exp2(-exposure.float() - KEY_EXPONENT).view(n, 1, 1, 1)
     planes = [tone(layers.beauty * scale)]
     if layers.light is not None:
-        planes += [tone(layers.light[:, i] * scale) for i in range(4)]
+        planes += [tone(layers.light[:, i].sum(1) * scale) for i in range(4)]
     else:
         planes += [zero3] * 4
     planes.append(zero3 if guides.albedo is None else squash(guides.albedo))

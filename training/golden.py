@@ -28,12 +28,12 @@ def random_frame(generator: torch.Generator) -> tuple[Layers, Guides]:
     def uniform(*shape: int) -> torch.Tensor:
         return torch.rand(*shape, generator=generator)
 
-    light = torch.exp(2 * torch.randn(1, 4, 3, HEIGHT, WIDTH, generator=generator)) * 0.3
+    light = torch.exp(2 * torch.randn(1, 4, 2, 3, HEIGHT, WIDTH, generator=generator)) * 0.3
     color = uniform(1, 3, 3, HEIGHT, WIDTH)
     color[:, 1] *= (uniform(1, 1, HEIGHT, WIDTH) > 0.3).float()
-    light[:, :3] *= (color.mean(2, keepdim=True) > 0).float()
+    light[:, :3] *= (color.mean(2, keepdim=True) > 0).float()[:, :, None]
     emission = (uniform(1, 3, HEIGHT, WIDTH) > 0.95).float() * 5
-    beauty = (light[:, :3] * color).sum(1) + light[:, 3] + emission
+    beauty = (light[:, :3].sum(2) * color).sum(1) + light[:, 3].sum(1) + emission
     depth = uniform(1, 1, HEIGHT, WIDTH) * 20
     depth[..., :3] = 1e10
     guides = Guides(
@@ -93,12 +93,12 @@ def main() -> None:
                     "normal": guides.normal, "depth": guides.depth, "alpha": guides.alpha}.items():  # fmt: skip
         values[f"frame.{name}"] = nhwc(x)
     for i, name in enumerate(("diffuse", "glossy", "transmission", "volume")):
-        values[f"frame.{name}_light"] = nhwc(layers.light[:, i])
-        values[f"want.{name}_light"] = nhwc(full.light[:, i])
+        for j, part in enumerate(("direct", "indirect")):
+            values[f"frame.{name}_{part}"] = nhwc(layers.light[:, i, j])
+            values[f"want.{name}_{part}"] = nhwc(full.light[:, i, j])
         if i < 3:
             values[f"frame.{name}_color"] = nhwc(layers.color[:, i])
             values[f"want.{name}_color"] = nhwc(full.color[:, i])
-    values["frame.black"] = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     values["want.combined"] = nhwc(full.combined)
     values["want.emission"] = nhwc(full.emission)
     alone = denoise_frame(model, Layers(layers.beauty), guides, SPP)

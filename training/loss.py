@@ -10,6 +10,7 @@ from torch import Tensor
 from training.features import Layers
 from training.models.quell import Denoised
 
+MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
 EPSILON = 0.01  # of relMSE (docs: error with two references)
 
 
@@ -56,7 +57,14 @@ def quell_loss(out: Denoised, target: Layers) -> Tensor:
     for part in (out.direct, out.rebuilt):
         total = total + 0.25 * multiscale(part, target.beauty) + 0.1 * energy(part, target.beauty)
     for i in range(4):
-        made = out.light[:, i] * out.color[:, i] if i < 3 else out.light[:, i]
-        total = total + 0.1 * multiscale(made, target.light[:, i]) + 0.05 * energy(made, target.light[:, i])
+        light, wanted = out.light[:, i], target.light[:, i]
+        made = light.sum(1) * out.color[:, i] if i < 3 else light.sum(1)
+        total = total + 0.1 * multiscale(made, wanted.sum(1)) + 0.05 * energy(made, wanted.sum(1))
+        # Each pass by itself, as its own file shows it: light without the colour.
+        color = target.color[:, i : i + 1] if i < 3 else torch.ones_like(wanted[:, :1])
+        known = (color > MIN_COLOR).float()
+        for part in range(2):
+            alone = wanted[:, part] / color[:, 0].clamp_min(MIN_COLOR) * known[:, 0]
+            total = total + 0.04 * relative_error(light[:, part] * known[:, 0], alone).mean()
     total = total + 0.1 * relative_error(out.color, target.color).mean()
     return total + 0.1 * relative_error(out.emission, target.emission).mean()

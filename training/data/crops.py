@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from training.data.pack import INPUT, NUM_INPUT, NUM_TARGET, TARGET, PackedFrame, to_target
+from training.data.pack import INPUT, NUM_INPUT, NUM_TARGET, TARGET, PackedFrame, spread_color, to_target
 from training.features import Features, Guides, Layers, limit_fireflies, log_exponent, make_features
 
 
@@ -57,13 +57,14 @@ def combine_inputs(parts: list[np.ndarray]) -> np.ndarray:
     color = mean[INPUT["color"]]
     product = sum(to_target(p)[TARGET["product"]] for p in parts) / len(parts)
     light = product.copy()
-    light[:9] = np.where(color > 1e-6, product[:9] / np.maximum(color, 1e-6), 0)
+    color = spread_color(color)
+    light[:18] = np.where(color > 1e-6, product[:18] / np.maximum(color, 1e-6), 0)
     mean[INPUT["light"]] = light
     return mean
 
 
 def crop_frame(frame: PackedFrame, rng: np.random.Generator, config: CropConfig) -> tuple[np.ndarray, np.ndarray, int]:
-    """One input [35,n,n] and its independent target [27,n,n]."""
+    """One input [47,n,n] and its independent target [39,n,n]."""
     chosen, spp = choose_input(frame, rng, config)
     height, width = frame.sums.shape[1:]
     y = int(rng.integers(0, height - config.crop + 1))
@@ -116,13 +117,13 @@ def augment(
         gains = 2.0 ** rng.uniform(-config.max_gain_stops, config.max_gain_stops, 5)
     factors = (exposure * gains[:, None] * tint[None]).astype(np.float32)  # [diffuse..volume, emission][rgb]
     if closes:
-        light = inputs[INPUT["light"]] * factors[:4].reshape(12, 1, 1)
-        inputs[INPUT["light"]] = light
+        by_part = factors[:4, None].repeat(2, 1).reshape(24, 1, 1)
+        inputs[INPUT["light"]] *= by_part
         inputs[INPUT["emission"]] *= factors[4].reshape(3, 1, 1)
-        target[TARGET["product"]] *= factors[:4].reshape(12, 1, 1)
+        target[TARGET["product"]] *= by_part
         target[TARGET["emission"]] *= factors[4].reshape(3, 1, 1)
         for array, table in ((to_target(inputs), TARGET), (target, TARGET)):
-            total = array[table["product"]].reshape(4, 3, *array.shape[1:]).sum(0) + array[table["emission"]]
+            total = array[table["product"]].reshape(8, 3, *array.shape[1:]).sum(0) + array[table["emission"]]
             (inputs[INPUT["beauty"]] if array is not target else target[TARGET["beauty"]])[:] = total
     else:
         factor = (exposure * tint).astype(np.float32).reshape(3, 1, 1)
@@ -132,12 +133,12 @@ def augment(
 
 
 def to_layers(x: Tensor, has_light: bool) -> Layers:
-    """INPUT's channels [n,35,h,w]."""
+    """INPUT's channels [n,47,h,w]."""
     if not has_light:
         return Layers(x[:, INPUT["beauty"]])
     return Layers(
         x[:, INPUT["beauty"]],
-        x[:, INPUT["light"]].unflatten(1, (4, 3)),
+        x[:, INPUT["light"]].unflatten(1, (4, 2, 3)),
         x[:, INPUT["color"]].unflatten(1, (3, 3)),
         x[:, INPUT["emission"]],
     )
@@ -150,7 +151,7 @@ def to_guides(x: Tensor) -> Guides:
 def target_layers(t: Tensor) -> Layers:
     return Layers(
         t[:, TARGET["beauty"]],
-        t[:, TARGET["product"]].unflatten(1, (4, 3)),
+        t[:, TARGET["product"]].unflatten(1, (4, 2, 3)),
         t[:, TARGET["color"]].unflatten(1, (3, 3)),
         t[:, TARGET["emission"]],
     )
@@ -161,7 +162,7 @@ def limit_layers(layers: Layers) -> Layers:
     if layers.light is None:
         return Layers(limit_fireflies(layers.beauty))
     emitter = layers.emission.mean(1, keepdim=True)
-    light = torch.stack([limit_fireflies(layers.light[:, i]) for i in range(4)], 1)
+    light = limit_fireflies(layers.light.flatten(0, 2)).view_as(layers.light)
     return Layers(limit_fireflies(layers.beauty, emitter), light, layers.color, layers.emission)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stored renders to what training reads: one memory-mapped array per frame, so that a random crop costs no decoding.
 
-    inputs.npy  [renders, 35, h, w] float16: each render of up to MAX_INPUT_SPP samples, in INPUT's channel order
-    sums.npy    [27, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
+    inputs.npy  [renders, 47, h, w] float16: each render of up to MAX_INPUT_SPP samples, in INPUT's channel order
+    sums.npy    [39, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
     pack.json   spp of each input, total spp, whether the passes sum to Combined
 
 Light passes are ratios of pixel means, so averages are taken of light x colour, which is linear in the samples. A target
@@ -30,21 +30,22 @@ CLOSURE_TOLERANCE = 5e-3  # half floats of 20 summed passes round to about 1e-3
 INPUT = {
     "beauty": slice(0, 3),
     "alpha": slice(3, 4),
-    "light": slice(4, 16),  # diffuse, glossy, transmission (direct + indirect), volume
-    "color": slice(16, 25),
-    "emission": slice(25, 28),
-    "albedo": slice(28, 31),
-    "normal": slice(31, 34),
-    "depth": slice(34, 35),
+    "light": slice(4, 28),  # diffuse, glossy, transmission, volume; direct, indirect; rgb
+    "color": slice(28, 37),
+    "emission": slice(37, 40),
+    "albedo": slice(40, 43),
+    "normal": slice(43, 46),
+    "depth": slice(46, 47),
 }
-NUM_INPUT = 35
+NUM_INPUT = 47
 TARGET = {
     "beauty": slice(0, 3),
-    "product": slice(3, 15),  # light x colour of diffuse, glossy, transmission; volume
-    "color": slice(15, 24),
-    "emission": slice(24, 27),
+    "product": slice(3, 27),  # light x colour of diffuse, glossy, transmission; volume; in light's order
+    "color": slice(27, 36),
+    "emission": slice(36, 39),
 }
-NUM_TARGET = 27
+NUM_TARGET = 39
+VERSION = 2  # of the packs; older ones are made again
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def select_passes(render: np.ndarray, with_environment: bool) -> np.ndarray:
     def get(name: str) -> np.ndarray:
         return x[pass_slice(name)]
 
-    light = [get(f"{p}Dir") + get(f"{p}Ind") for p in ("Diff", "Gloss", "Trans", "Volume")]
+    light = [get(f"{p}{part}") for p in ("Diff", "Gloss", "Trans", "Volume") for part in ("Dir", "Ind")]
     color = [get(f"{p}Col") for p in ("Diff", "Gloss", "Trans")]
     emission = get("Emit") + (get("Env") if with_environment else 0)
     depth = get("Denoising Depth")
@@ -77,16 +78,21 @@ def select_passes(render: np.ndarray, with_environment: bool) -> np.ndarray:
     return np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=65504.0, neginf=0.0)
 
 
+def spread_color(color: np.ndarray) -> np.ndarray:
+    """Colours [9,h,w] to the 18 channels of the light that they were divided out of."""
+    return color.reshape(3, 1, 3, *color.shape[1:]).repeat(2, 1).reshape(18, *color.shape[1:])
+
+
 def to_target(inputs: np.ndarray) -> np.ndarray:
-    """INPUT's channels [35,h,w] to TARGET's [27,h,w]: light times colour."""
+    """INPUT's channels [47,h,w] to TARGET's [39,h,w]: light times colour."""
     product = inputs[INPUT["light"]].copy()
-    product[:9] *= inputs[INPUT["color"]]
+    product[:18] *= spread_color(inputs[INPUT["color"]])
     return np.concatenate([inputs[INPUT["beauty"]], product, inputs[INPUT["color"]], inputs[INPUT["emission"]]])
 
 
 def closure_error(target: np.ndarray) -> float:
     """Mean difference of the passes' sum and Combined, relative to Combined's mean."""
-    total = target[TARGET["product"]].reshape(4, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
+    total = target[TARGET["product"]].reshape(8, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
     beauty = target[TARGET["beauty"]]
     return float(np.abs(total - beauty).mean() / max(beauty.mean(), 1e-6))
 
@@ -119,6 +125,7 @@ def pack_frame(record: FrameRecord, folder: Path) -> None:
         "closes": errors[with_environment] < CLOSURE_TOLERANCE,
         "closure_error": errors[with_environment],
         "renders": sorted(record.renders),
+        "version": VERSION,
     }
     (temporary / "pack.json").write_text(json.dumps(info))
     shutil.rmtree(folder, ignore_errors=True)
@@ -138,8 +145,10 @@ def pack_new(split: str, min_renders: int, root: Path | None = None) -> int:
             continue
         folder = pack_root(root) / split / f"{record.family}-{record.name}"
         info = folder / "pack.json"
-        if info.exists() and json.loads(info.read_text())["renders"] == sorted(record.renders):
-            continue
+        if info.exists():
+            known = json.loads(info.read_text())
+            if known.get("version") == VERSION and known["renders"] == sorted(record.renders):
+                continue
         try:
             pack_frame(record, folder)
             done += 1
@@ -153,6 +162,8 @@ def load_packs(split: str, root: Path | None = None) -> list[PackedFrame]:
     frames = []
     for info_path in sorted((pack_root(root) / split).glob("*/pack.json")):
         info = json.loads(info_path.read_text())
+        if info.get("version") != VERSION:
+            continue
         folder = info_path.parent
         frames.append(
             PackedFrame(

@@ -46,7 +46,7 @@ class Denoised:
     combined: Tensor
     direct: Tensor
     rebuilt: Tensor | None = None
-    light: Tensor | None = None  # [n,4 groups,3,h,w]: diffuse, glossy, transmission, volume
+    light: Tensor | None = None  # [n,4 groups,2,3,h,w]: direct and indirect of diffuse, glossy, transmission, volume
     color: Tensor | None = None  # [n,3 groups,3,h,w]
     emission: Tensor | None = None
 
@@ -150,20 +150,20 @@ def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | No
     validity = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1)
     validity = validity.transpose(0, 1).flatten(0, 1)  # [4n,1,h,w]: groups outermost, as in group_levels
     weight = importance_weight(importance) * validity * inside.repeat(len(groups), 1, 1, 1)
-    light = layers.light.transpose(0, 1).flatten(0, 1)
+    light = layers.light.transpose(0, 1).flatten(0, 1).flatten(1, 2)  # [4n,6,h,w]
     values = filter_pyramid(torch.cat([light * weight, weight], 1), levels)
-    light = values[:, :3] / values[:, 3:].clamp_min(1e-20)
-    light = light.view(len(groups), n, *light.shape[1:]).transpose(0, 1)
+    light = values[:, :6] / values[:, 6:].clamp_min(1e-20)
+    light = light.view(len(groups), n, 2, 3, *light.shape[2:]).transpose(0, 1)
     # Light without a colour is "no data", not darkness to be filled from beside: it stays what it was.
     colored = torch.cat([(layers.color != 0).any(2, keepdim=True), torch.ones_like(scale[:, :1], dtype=torch.bool)], 1)
-    light = torch.where(colored, light, layers.light)
+    light = torch.where(colored[:, :, None], light, layers.light)
 
     # What the camera sees directly, colours and emitters, is noisy at edges and under blur alone: narrow kernels.
     seen = torch.cat([layers.color.flatten(1, 2), layers.emission, inside], 1)
     seen = apply_kernel(seen, logits["color_0"], 2, 0)
     seen = seen[:, :-1] / seen[:, -1:].clamp_min(1e-20)
     color, emission = seen[:, :9].view_as(layers.color), seen[:, 9:]
-    rebuilt = (light[:, :3] * color).sum(1) + light[:, 3] + emission
+    rebuilt = (light[:, :3].sum(2) * color).sum(1) + light[:, 3].sum(1) + emission
     mix = torch.sigmoid(logits["mix_0"].float())
     combined = mix * rebuilt + (1 - mix) * direct
     return Denoised(combined, direct, rebuilt, light, color, emission)
