@@ -32,20 +32,12 @@ class Conversion:
 
 CONVERSIONS: dict[str, Conversion] = {
     "conv_htj2k256": Conversion("50_zip_float", {"compression": OpenEXR.HTJ2K256_COMPRESSION}),
-    "conv_htj2k32_single": Conversion(
-        "45_zips_float", {"compression": OpenEXR.HTJ2K32_COMPRESSION}
-    ),
+    "conv_htj2k32_single": Conversion("45_zips_float", {"compression": OpenEXR.HTJ2K32_COMPRESSION}),
     # A crop: the picture is larger than the pixels stored.
-    "conv_cropped_single": Conversion(
-        "45_piz", data=((10, 8), (54, 36)), display=((0, 0), (63, 47))
-    ),
-    "conv_cropped_multi": Conversion(
-        "50_transparent", data=((10, 8), (54, 36)), display=((0, 0), (63, 47))
-    ),
+    "conv_cropped_single": Conversion("45_piz", data=((10, 8), (54, 36)), display=((0, 0), (63, 47))),
+    "conv_cropped_multi": Conversion("50_transparent", data=((10, 8), (54, 36)), display=((0, 0), (63, 47))),
     # Overscan: pixels beyond the picture on every side.
-    "conv_overscan_single": Conversion(
-        "45_transparent", data=((-4, -3), (40, 25)), display=((0, 0), (36, 22))
-    ),
+    "conv_overscan_single": Conversion("45_transparent", data=((-4, -3), (40, 25)), display=((0, 0), (36, 22))),
     "conv_tiled": Conversion(
         "45_beauty_guides",
         {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()},
@@ -71,8 +63,7 @@ def convert(name: str, what: Conversion, folder: Path, out: Path) -> None:
         if "tiles" in header:
             header["tiles"].xSize = header["tiles"].ySize = 16
         channels = {
-            key: OpenEXR.Channel(np.ascontiguousarray(channel.pixels))
-            for key, channel in part.channels.items()
+            key: OpenEXR.Channel(np.ascontiguousarray(channel.pixels)) for key, channel in part.channels.items()
         }
         parts.append(OpenEXR.Part(header, channels, part.header.get("name", "")))
     path = out / f"{name}.exr"

@@ -112,9 +112,7 @@ def scene() -> bpy.types.Scene:
         Transmission=1.0,
         Transmission_Weight=1.0,
     )
-    glow = material(
-        "glow", Emission=(1, 0.5, 0.2, 1), Emission_Color=(1, 0.5, 0.2, 1), Emission_Strength=6.0
-    )
+    glow = material("glow", Emission=(1, 0.5, 0.2, 1), Emission_Color=(1, 0.5, 0.2, 1), Emission_Strength=6.0)
     for index, (mat, where, radius) in enumerate(
         (
             (clay, (-1.5, 0.3, 0.6), 0.6),
@@ -170,9 +168,7 @@ def scene() -> bpy.types.Scene:
     return sc
 
 
-def image_format(
-    sc: bpy.types.Scene, codec: str = "ZIP", depth: str = "16", kind: str = "OPEN_EXR_MULTILAYER"
-) -> None:
+def image_format(sc: bpy.types.Scene, codec: str = "ZIP", depth: str = "16", kind: str = "OPEN_EXR_MULTILAYER") -> None:
     settings = sc.render.image_settings
     if hasattr(settings, "media_type"):  # 5.0 and later
         settings.media_type = "MULTI_LAYER_IMAGE" if kind.endswith("MULTILAYER") else "IMAGE"
@@ -194,9 +190,7 @@ def all_passes(layer: bpy.types.ViewLayer) -> None:
     """Turn on every pass this Blender knows, two AOVs and light groups."""
     for owner in (layer, layer.cycles):
         for prop in owner.bl_rna.properties:
-            if prop.type == "BOOLEAN" and (
-                "pass_" in prop.identifier or "denoising_store" in prop.identifier
-            ):
+            if prop.type == "BOOLEAN" and ("pass_" in prop.identifier or "denoising_store" in prop.identifier):
                 if prop.identifier not in ("pass_alpha_threshold", "use_pass_cryptomatte_accurate"):
                     setattr(owner, prop.identifier, True)
     for name, kind in (("tint", "COLOR"), ("my.value", "VALUE")):
