@@ -11,60 +11,75 @@ from training.features import Layers
 from training.models.quell import Denoised
 
 MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
+NOISE_FLOOR = 0.004  # error of an input that needs nothing done to it; targets are no cleaner
 EPSILON = 0.01  # of relMSE (docs: error with two references)
 
 
 def relative_error(image: Tensor, target: Tensor) -> Tensor:
     """Pseudo-Huber of the relative error: squared while small, so that noise in the target cancels; linear beyond 1, so
     that one firefly does not decide a step. The denominator takes the estimate in, because the target's own noise in it
-    would pull the result down."""
+    would pull the result down. One value per crop."""
     denominator = 0.25 * (image.detach() + target).square() + EPSILON
     squared = (image - target).square() / denominator
-    return torch.sqrt(1 + squared) - 1
+    return (torch.sqrt(1 + squared) - 1).flatten(1).mean(1)
 
 
 def multiscale(image: Tensor, target: Tensor) -> Tensor:
     """Relative error of pixels and of means over 4x4 and 16x16: the latter hold the residual blotches and the bias."""
-    total = relative_error(image, target).mean()
+    total = relative_error(image, target)
     for size in (4, 16):
-        total = total + 0.5 * relative_error(F.avg_pool2d(image, size), F.avg_pool2d(target, size)).mean()
+        total = total + 0.5 * relative_error(F.avg_pool2d(image, size), F.avg_pool2d(target, size))
     return total
 
 
 def energy(image: Tensor, target: Tensor) -> Tensor:
     """Squared error of means over 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop what is
     rare and bright; this one has the expectation as its optimum and so keeps the mean. At smaller scales it would spread
-    every firefly over its surroundings (docs/decisions/0003-energy.md)."""
+    every firefly over its surroundings (docs/decisions/0003-energy.md). One value per crop."""
     level = target.mean((1, 2, 3), keepdim=True).abs().detach() + 0.01
-    total = image.new_zeros(())
+    total = image.new_zeros(image.shape[0])
     for size in (64, image.shape[-1]):
         error = (F.avg_pool2d(image, size) - F.avg_pool2d(target, size)) / level
-        total = total + error.square().clamp_max(1).mean()
+        total = total + error.square().clamp_max(1).flatten(1).mean(1)
     return total
 
 
 def tone_l1(image: Tensor, target: Tensor) -> Tensor:
-    """L1 after z / (1 + z): what a viewer sees (eq. 9 of DGAN-KPN)."""
-    return (image / (1 + image.clamp_min(0)) - target / (1 + target.clamp_min(0))).abs().mean()
+    """L1 after z / (1 + z): what a viewer sees (eq. 9 of DGAN-KPN). One value per crop."""
+    return (image / (1 + image.clamp_min(0)) - target / (1 + target.clamp_min(0))).abs().flatten(1).mean(1)
 
 
-def quell_loss(out: Denoised, target: Layers) -> Tensor:
+def worth(noisy: Tensor, target: Tensor) -> Tensor:
+    """Weight of each crop: the inverse of its input's own error. What counts is the share of the noise that is left, in a
+    nearly clean crop as much as in a hopeless one; without it the noisiest crops alone would teach."""
+    return 1 / (relative_error(noisy, target) + NOISE_FLOOR)
+
+
+def quell_loss(out: Denoised, noisy: Layers, target: Layers) -> Tensor:
     """Combined first, its two makings and the passes second."""
-    total = multiscale(out.combined, target.beauty) + 0.5 * tone_l1(out.combined, target.beauty)
-    total = total + 0.4 * energy(out.combined, target.beauty)
+    weight = worth(noisy.beauty, target.beauty)
+    main = multiscale(out.combined, target.beauty) + 0.4 * energy(out.combined, target.beauty)
+    total = (weight * (main + 0.2 * tone_l1(out.combined, target.beauty))).mean()
     if out.light is None:
         return total
     for part in (out.direct, out.rebuilt):
-        total = total + 0.25 * multiscale(part, target.beauty) + 0.1 * energy(part, target.beauty)
+        side = 0.25 * multiscale(part, target.beauty) + 0.1 * energy(part, target.beauty)
+        total = total + (weight * side).mean()
     for i in range(4):
-        light, wanted = out.light[:, i], target.light[:, i]
+        light, wanted, given = out.light[:, i], target.light[:, i], noisy.light[:, i]
         made = light.sum(1) * out.color[:, i] if i < 3 else light.sum(1)
-        total = total + 0.1 * multiscale(made, wanted.sum(1)) + 0.05 * energy(made, wanted.sum(1))
+        side = 0.1 * multiscale(made, wanted.sum(1)) + 0.05 * energy(made, wanted.sum(1))
+        total = total + (weight * side).mean()
         # Each pass by itself, as its own file shows it: light without the colour.
         color = target.color[:, i : i + 1] if i < 3 else torch.ones_like(wanted[:, :1])
-        known = (color > MIN_COLOR).float()
+        known = (color > MIN_COLOR).float()[:, 0]
         for part in range(2):
-            alone = wanted[:, part] / color[:, 0].clamp_min(MIN_COLOR) * known[:, 0]
-            total = total + 0.04 * relative_error(light[:, part] * known[:, 0], alone).mean()
-    total = total + 0.1 * relative_error(out.color, target.color).mean()
-    return total + 0.1 * relative_error(out.emission, target.emission).mean()
+            alone = wanted[:, part] / color[:, 0].clamp_min(MIN_COLOR) * known
+            share = worth(given[:, part] * known, alone)
+            total = total + 0.04 * (share * relative_error(light[:, part] * known, alone)).mean()
+    for made, wanted, given in (
+        (out.color.flatten(1, 2), target.color.flatten(1, 2), noisy.color.flatten(1, 2)),
+        (out.emission, target.emission, noisy.emission),
+    ):
+        total = total + 0.04 * (worth(given, wanted) * relative_error(made, wanted)).mean()
+    return total

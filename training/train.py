@@ -38,7 +38,7 @@ class TrainConfig:
     rate: float = 1.5e-3
     warmup_steps: int = 100
     final_rate: float = 0.02  # of rate, at total_steps
-    clip: float = 1.0  # gradient norm
+    clip: float = 3.0  # gradient norm
     ema: float = 0.998
     bfloat16: bool = True
     seed: int = 1
@@ -127,7 +127,7 @@ def train(name: str, config: TrainConfig, minutes: float) -> None:
             group["lr"] = rate_at(step, config)
         with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
             out = model(batch.features, batch.layers)
-        loss = quell_loss(out, batch.target)
+        loss = quell_loss(out, batch.layers, batch.target)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)

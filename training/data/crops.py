@@ -25,7 +25,7 @@ class CropConfig:
     light_fraction: float = 0.6  # of batches that have light passes; the others train Combined alone
     drop_guide: float = 0.1  # of batches, for each guide
     hide_spp: float = 0.2
-    spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 1.0), (4, 2.0), (8, 1.0), (16, 1.0), (32, 0.5))
+    spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 0.8), (4, 2.0), (8, 1.2), (16, 1.5), (32, 1.0))
     max_gain_stops: float = 1.5  # of one pass group against another
     seed: int = 1
 
