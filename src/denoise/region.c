@@ -326,22 +326,30 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
     }
 }
 
-/* Light without a colour is "no data", not darkness to be filled from beside: it stays what it was. */
+/* What is empty stays empty. Light without a colour is "no data", not darkness to be filled from beside; a pixel of a
+ * transparent film that nothing covers must not catch the haze of what is next to it. */
 static void restore_task(void *user, uint32_t task, uint32_t worker)
 {
     const batch *const b = user;
     const ql_region *const region = b->region;
     const uint32_t y = region->y0 + task, width = b->job->frame->width;
-    float *rows[2 * MAX_COLORS];
-    for (uint32_t i = 0; i < 2 * MAX_COLORS; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * width;
-    read_color(b, y, rows);
+    const int has_color = b->color_role != QUELL_ROLE_OTHER;
+    float *rows[MAX_COLORS + 4];
+    for (uint32_t i = 0; i < MAX_COLORS + 4; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * width;
+    float *const *const color = rows, *const *const value = rows + MAX_COLORS;
+    if (has_color) read_color(b, y, color);
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
-        ql_read_fixed_row(m->source, m->scan, width, y, m->num_channels, rows + MAX_COLORS, NULL);
+        if (!has_color && m->num_channels < 4) continue;
+        ql_read_fixed_row(m->source, m->scan, width, y, m->num_channels, (float *const *)value, NULL);
+        float *const *const empty = has_color ? color : (float *const *)value;
         for (uint32_t c = 0; c < m->num_channels; ++c) {
             float *const out = result_row(b, m, c, y);
-            for (uint32_t x = region->x0; x < region->x1; ++x)
-                if (rows[0][x] == 0.0f && rows[1][x] == 0.0f && rows[2][x] == 0.0f) out[x] = rows[MAX_COLORS + c][x];
+            for (uint32_t x = region->x0; x < region->x1; ++x) {
+                const int is_empty = empty[0][x] == 0.0f && empty[1][x] == 0.0f && empty[2][x] == 0.0f &&
+                                     (has_color || value[3][x] == 0.0f);
+                if (is_empty && isfinite(value[c][x])) out[x] = value[c][x];
+            }
         }
     }
 }
@@ -401,7 +409,9 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
             QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
         else
             QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
-        if (b->color_role != QUELL_ROLE_OTHER)
+        int restores = b->color_role != QUELL_ROLE_OTHER;
+        for (uint32_t i = 0; i < b->num_members; ++i) restores |= b->members[i].num_channels == 4;
+        if (restores)
             QL_TRY(ql_env_run(env, b->region->y1 - b->region->y0, restore_task, b));
     }
     return QUELL_OK;
