@@ -133,11 +133,11 @@ typedef struct quell_model quell_model;
 typedef struct quell_model_info {
     uint32_t struct_size;
     uint32_t file_version;
-    const char *name;         /* "quell-balanced"; lent: lives as long as the model */
-    const char *description;  /* one line; lent */
-    const char *sha256;       /* 64 hex digits of the weight file; lent */
+    const char *name;        /* "quell-balanced"; lent: lives as long as the model */
+    const char *description; /* one line; lent */
+    const char *sha256;      /* 64 hex digits of the weight file; lent */
     uint64_t num_parameters;
-    double macs_per_pixel;    /* multiply-adds per image pixel when one group of layers is filtered */
+    double macs_per_pixel;     /* multiply-adds per image pixel when one group of layers is filtered */
     double macs_per_pixel_all; /* ... when every group is */
 } quell_model_info;
 
@@ -170,10 +170,10 @@ enum { QUELL_FORMAT_FLOAT = 0, QUELL_FORMAT_HALF = 1, QUELL_FORMAT_UINT = 2 };
  * Strides may be negative (rows bottom-up: point data at the top row). */
 typedef struct quell_image {
     uint32_t struct_size;
-    int32_t format;               /* QUELL_FORMAT_FLOAT or QUELL_FORMAT_HALF */
-    uint32_t width, height;       /* at least 1 */
-    uint32_t num_channels;        /* 1 to 4 */
-    uint32_t reserved0;           /* zero */
+    int32_t format;         /* QUELL_FORMAT_FLOAT or QUELL_FORMAT_HALF */
+    uint32_t width, height; /* at least 1 */
+    uint32_t num_channels;  /* 1 to 4 */
+    uint32_t reserved0;     /* zero */
     void *data;
     int64_t channel_stride_bytes; /* 0: packed (size of one value) */
     int64_t pixel_stride_bytes;   /* 0: packed (num_channels values) */
@@ -203,7 +203,7 @@ enum {
     QUELL_ROLE_AMBIENT_OCCLUSION = 16,
     QUELL_ROLE_SHADOW_CATCHER = 17,
     QUELL_ROLE_NOISY_SHADOW_CATCHER = 18,
-    QUELL_ROLE_LIGHT_GROUP = 19,       /* Combined_NAME */
+    QUELL_ROLE_LIGHT_GROUP = 19, /* Combined_NAME */
     QUELL_ROLE_DENOISING_ALBEDO = 20,
     QUELL_ROLE_DENOISING_NORMAL = 21,
     QUELL_ROLE_DENOISING_DEPTH = 22,
@@ -211,9 +211,9 @@ enum {
     QUELL_ROLE_NORMAL = 24,
     QUELL_ROLE_POSITION = 25,
     QUELL_ROLE_SAMPLE_COUNT = 26,
-    QUELL_ROLE_SHADOW = 27,            /* Blender 3.x */
-    QUELL_ROLE_VOLUME_SCATTER = 28,    /* Blender 5.x */
-    QUELL_ROLE_VOLUME_TRANSMIT = 29    /* Blender 5.x */
+    QUELL_ROLE_SHADOW = 27,         /* Blender 3.x */
+    QUELL_ROLE_VOLUME_SCATTER = 28, /* Blender 5.x */
+    QUELL_ROLE_VOLUME_TRANSMIT = 29 /* Blender 5.x */
 };
 
 /* Short name of a role, such as "diffuse-direct"; "other" for unknown values. Static text. Since: 0.1 */
@@ -221,18 +221,18 @@ QUELL_API const char *quell_role_name(int32_t role);
 
 typedef struct quell_layer_info {
     uint32_t struct_size;
-    int32_t role;             /* QUELL_ROLE_* */
-    const char *view_layer;   /* "ViewLayer"; "" where the file has none. All texts are lent by the frame. */
-    const char *pass;         /* "Diffuse Direct" or "DiffDir", as in the file */
-    const char *view;         /* "left"; "" for a single view */
-    const char *full_name;    /* "ViewLayer.DiffDir" */
-    const char *channels;     /* letters in reading order: "RGBA", "XYZ", "Z" */
-    const char *compression;  /* "zip"; "" for layers that did not come from a file */
-    int32_t format;           /* QUELL_FORMAT_* of its first channel */
+    int32_t role;            /* QUELL_ROLE_* */
+    const char *view_layer;  /* "ViewLayer"; "" where the file has none. All texts are lent by the frame. */
+    const char *pass;        /* "Diffuse Direct" or "DiffDir", as in the file */
+    const char *view;        /* "left"; "" for a single view */
+    const char *full_name;   /* "ViewLayer.DiffDir" */
+    const char *channels;    /* letters in reading order: "RGBA", "XYZ", "Z" */
+    const char *compression; /* "zip"; "" for layers that did not come from a file */
+    int32_t format;          /* QUELL_FORMAT_* of its first channel */
     uint32_t num_channels;
     uint32_t width, height;
-    uint32_t samples;         /* per pixel as the file states them; 0: unknown */
-    int32_t is_denoised;      /* 1 after quell_denoise filtered it */
+    uint32_t samples;    /* per pixel as the file states them; 0: unknown */
+    int32_t is_denoised; /* 1 after quell_denoise filtered it */
 } quell_layer_info;
 
 /* An empty frame of layers from the caller's memory. Since: 0.1 */
@@ -319,10 +319,10 @@ typedef int32_t (*quell_progress_fn)(void *user, double fraction);
 
 typedef struct quell_options {
     uint32_t struct_size;
-    uint32_t flags;           /* QUELL_DENOISE_* */
-    const char *layers;       /* NULL or "all": every light pass; "beauty": Combined alone; else names, comma-separated */
-    uint32_t tile_size;       /* edge in pixels, rounded up to a multiple of 32; 0: chosen from max_memory_bytes */
-    uint32_t reserved0;       /* zero */
+    uint32_t flags;     /* QUELL_DENOISE_* */
+    const char *layers; /* NULL or "all": every light pass; "beauty": Combined alone; else names, comma-separated */
+    uint32_t tile_size; /* edge in pixels, rounded up to a multiple of 32; 0: chosen from max_memory_bytes */
+    uint32_t reserved0; /* zero */
     quell_progress_fn progress; /* NULL: none */
     void *progress_user;
 } quell_options;
@@ -371,13 +371,13 @@ typedef struct quell_report_summary {
     uint32_t num_layers;
     uint32_t tile_width, tile_height; /* without halo */
     uint32_t num_tiles;
-    uint32_t halo;                    /* pixels read beyond a tile's edge */
-    uint64_t peak_bytes;              /* working memory: planned by quell_plan, measured by quell_denoise */
-    double macs_per_pixel;            /* of the network parts that ran */
+    uint32_t halo;         /* pixels read beyond a tile's edge */
+    uint64_t peak_bytes;   /* working memory: planned by quell_plan, measured by quell_denoise */
+    double macs_per_pixel; /* of the network parts that ran */
     double seconds_features, seconds_network, seconds_filter, seconds_total; /* wall clock; 0 from quell_plan */
-    const char *combined;             /* how Combined was rebuilt: "direct", "from passes", "from passes and
+    const char *combined;   /* how Combined was rebuilt: "direct", "from passes", "from passes and
                                          environment"; lent */
-    const char *model_name;           /* lent */
+    const char *model_name; /* lent */
 } quell_report_summary;
 
 /* NULL is allowed. Since: 0.1 */
@@ -393,10 +393,10 @@ typedef struct quell_metrics {
     uint32_t struct_size;
     uint32_t reserved0;
     double mse;
-    double rel_mse;      /* mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2; b = a where there is no second */
-    double psnr;         /* dB, after z / (1 + z) */
-    double ssim;         /* on luminance after z / (1 + z); 11x11 Gaussian, sigma 1.5 */
-    double gmsd;         /* gradient magnitude similarity deviation of the same luminance */
+    double rel_mse; /* mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2; b = a where there is no second */
+    double psnr;    /* dB, after z / (1 + z) */
+    double ssim;    /* on luminance after z / (1 + z); 11x11 Gaussian, sigma 1.5 */
+    double gmsd;    /* gradient magnitude similarity deviation of the same luminance */
     uint64_t num_non_finite; /* values of the image that are NaN or infinite; they count as 0 above */
 } quell_metrics;
 

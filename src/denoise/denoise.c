@@ -91,8 +91,7 @@ static void closure_task(void *user, uint32_t task, uint32_t worker)
     }
     for (int32_t r = QUELL_ROLE_DIFFUSE_DIRECT; r <= QUELL_ROLE_TRANSMISSION_DIRECT; r += 3) {
         for (uint32_t c = 0; c < 3; ++c) {
-            for (int32_t i = 0; i < 3; ++i)
-                ql_layer_read_row(&frame->layers[role[r + i]], width, c, task, rows[6 + i]);
+            for (int32_t i = 0; i < 3; ++i) ql_layer_read_row(&frame->layers[role[r + i]], width, c, task, rows[6 + i]);
             for (uint32_t x = 0; x < width; ++x) rows[3 + c][x] += (rows[6][x] + rows[7][x]) * rows[8][x];
         }
     }
@@ -195,14 +194,17 @@ static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memor
         th = tile < th ? tile : th;
     }
     while (tile_bytes(w, tw, th) + used > max_memory_bytes && (tw > MIN_TILE || th > MIN_TILE)) {
-        if (tw >= th) tw = align_up(tw / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(tw / 2, TILE_ALIGNMENT);
-        else th = align_up(th / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(th / 2, TILE_ALIGNMENT);
+        if (tw >= th)
+            tw = align_up(tw / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(tw / 2, TILE_ALIGNMENT);
+        else
+            th = align_up(th / 2, TILE_ALIGNMENT) < MIN_TILE ? MIN_TILE : align_up(th / 2, TILE_ALIGNMENT);
     }
     w->planned_bytes = tile_bytes(w, tw, th) + used;
     if (w->planned_bytes > max_memory_bytes)
-        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "the smallest tile needs %llu MB of working memory, %llu MB are "
-                       "allowed; raise the limit", (unsigned long long)(w->planned_bytes >> 20) + 1,
-                       (unsigned long long)(max_memory_bytes >> 20));
+        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY,
+                       "the smallest tile needs %llu MB of working memory, %llu MB are "
+                       "allowed; raise the limit",
+                       (unsigned long long)(w->planned_bytes >> 20) + 1, (unsigned long long)(max_memory_bytes >> 20));
     w->tile_width = tw;
     w->tile_height = th;
     w->num_tiles = ((w->frame->width + tw - 1) / tw) * ((w->frame->height + th - 1) / th);
@@ -217,8 +219,10 @@ static ql_region region_at(const work *w, uint32_t index)
     r.y1 = r.y0 + w->tile_height < w->frame->height ? r.y0 + w->tile_height : w->frame->height;
     r.rx = r.x0 > w->halo ? r.x0 - w->halo : 0;
     r.ry = r.y0 > w->halo ? r.y0 - w->halo : 0;
-    const uint32_t right = align_up(w->frame->width, QL_NET_ALIGNMENT), bottom = align_up(w->frame->height, QL_NET_ALIGNMENT);
-    const uint32_t x_end = align_up(r.x1 + w->halo, QL_NET_ALIGNMENT), y_end = align_up(r.y1 + w->halo, QL_NET_ALIGNMENT);
+    const uint32_t right = align_up(w->frame->width, QL_NET_ALIGNMENT),
+                   bottom = align_up(w->frame->height, QL_NET_ALIGNMENT);
+    const uint32_t x_end = align_up(r.x1 + w->halo, QL_NET_ALIGNMENT),
+                   y_end = align_up(r.y1 + w->halo, QL_NET_ALIGNMENT);
     r.width = (x_end < right ? x_end : right) - r.rx;
     r.height = (y_end < bottom ? y_end : bottom) - r.ry;
     return r;
@@ -369,15 +373,18 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         quell_report_layer *const layer = &report->layers[i];
         report->names[i] = ql_strdup(&report->memory, w->frame->layers[i].full_name);
         failed = report->names[i] == NULL;
-        *layer = (quell_report_layer){.struct_size = sizeof *layer, .action = plan->action, .full_name = report->names[i]};
+        *layer =
+            (quell_report_layer){.struct_size = sizeof *layer, .action = plan->action, .full_name = report->names[i]};
         layer->reason = plan->reason;
         layer->mean_before = layer->mean_after = scan->mean;
         if (plan->action != QUELL_ACTION_DENOISED) continue;
         layer->num_bad_pixels = scan->num_bad;
         layer->num_limited_pixels = scan->num_limited;
         if (!dry) layer->mean_after = w->means[i];
-        if (plan->group == QL_GROUP_COLOR) has_light = 1;
-        else groups |= 1u << plan->group;
+        if (plan->group == QL_GROUP_COLOR)
+            has_light = 1;
+        else
+            groups |= 1u << plan->group;
     }
     if (failed) {
         ql_report_destroy(report);
@@ -420,7 +427,8 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     if (status == QUELL_OK) status = look(&w, err);
     w.seconds_features = ql_clock_seconds() - start;
     if (status == QUELL_OK) {
-        w.job = (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
+        w.job =
+            (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
         status = choose_tiles(&w, options->tile_size, max_memory_bytes, err);
     }
     if (status == QUELL_OK && !dry) status = run(&w, err);

@@ -10,9 +10,9 @@
 #include <string.h>
 
 enum {
-    FEATURE_ROWS = 48,   /* rows of scratch that one row of features is made from */
-    VALUE_ROWS = 12,     /* ... that one row of values is made from */
-    MAX_BATCH = 8,       /* layers filtered at a time */
+    FEATURE_ROWS = 48, /* rows of scratch that one row of features is made from */
+    VALUE_ROWS = 12,   /* ... that one row of values is made from */
+    MAX_BATCH = 8,     /* layers filtered at a time */
     MAX_COLORS = 3
 };
 
@@ -23,11 +23,11 @@ enum {
 
 /* One layer in a batch: where its planes are. */
 typedef struct member {
-    int32_t layer;            /* whose result is written */
+    int32_t layer; /* whose result is written */
     const ql_layer *source;
     const ql_scan *scan;
     float *result;
-    uint32_t num_channels;    /* filtered: 3 colours, and alpha where it varies */
+    uint32_t num_channels; /* filtered: 3 colours, and alpha where it varies */
     uint32_t first_plane, weight_plane;
 } member;
 
@@ -37,10 +37,10 @@ typedef struct batch {
     const ql_net_maps *maps;
     const ql_plan_set *set;
     int32_t group, set_index;
-    int32_t color_role;       /* of the colour whose size weighs this group's light, or QUELL_ROLE_OTHER */
+    int32_t color_role; /* of the colour whose size weighs this group's light, or QUELL_ROLE_OTHER */
     member members[MAX_BATCH];
     uint32_t num_members, num_planes;
-    float *scratch;           /* per worker */
+    float *scratch; /* per worker */
     size_t scratch_floats;
 } batch;
 
@@ -139,8 +139,7 @@ static void feature_row(void *user, uint32_t region_y, uint32_t worker, float *o
         in.depth = next[0] + region->rx;
     }
     ql_make_feature_row(f->job->kernels, f->setup, &in, num, rows[FEATURE_ROWS - 1], out);
-    memset(out + (size_t)num * QL_NUM_FEATURES, 0,
-           (size_t)(region->width - num) * QL_NUM_FEATURES * sizeof *out);
+    memset(out + (size_t)num * QL_NUM_FEATURES, 0, (size_t)(region->width - num) * QL_NUM_FEATURES * sizeof *out);
 }
 
 static size_t feature_scratch_floats(uint32_t image_width)
@@ -157,8 +156,8 @@ static quell_status run_network(ql_job *job, ql_env *env, const ql_plan_set *set
     if (f.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of features");
     float flags[QL_NUM_FLAGS];
     ql_make_flags(setup, flags);
-    const quell_status status = ql_net_run(job->net, job->kernels, env, region->width, region->height, flags,
-                                           feature_row, &f, maps, err);
+    const quell_status status =
+        ql_net_run(job->net, job->kernels, env, region->width, region->height, flags, feature_row, &f, maps, err);
     ql_free(env->memory, f.scratch);
     return status;
 }
@@ -411,8 +410,7 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
             QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
         int restores = b->color_role != QUELL_ROLE_OTHER;
         for (uint32_t i = 0; i < b->num_members; ++i) restores |= b->members[i].num_channels == 4;
-        if (restores)
-            QL_TRY(ql_env_run(env, b->region->y1 - b->region->y0, restore_task, b));
+        if (restores) QL_TRY(ql_env_run(env, b->region->y1 - b->region->y0, restore_task, b));
     }
     return QUELL_OK;
 }
@@ -468,8 +466,8 @@ uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, const ql_f
                               uint32_t width, uint32_t height, uint32_t num_workers)
 {
     (void)frame;
-    const uint64_t features = num_workers * sizeof(float) *
-                              (feature_scratch_floats(image_width) + 4ull * width * QL_NUM_FEATURES);
+    const uint64_t features =
+        num_workers * sizeof(float) * (feature_scratch_floats(image_width) + 4ull * width * QL_NUM_FEATURES);
     const uint64_t network = ql_net_peak_bytes(net, width, height) + features;
     /* Maps stay while the filters run; the widest batch has QL_PYRAMID_MAX_PLANES planes, most have seven. */
     uint32_t planes = plan->num_denoised * 3 + 2;

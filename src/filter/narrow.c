@@ -53,8 +53,8 @@ static void set_sizes(narrow *n)
     n->scratch_floats = (4 * KERNEL + 2 * (size_t)n->num_planes) * QL_PYRAMID_SPAN;
 }
 
-quell_status ql_narrow_run(const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
-                           uint32_t num_planes, const ql_pyramid_source *source, ql_error *err)
+quell_status ql_narrow_run(const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height, uint32_t num_planes,
+                           const ql_pyramid_source *source, ql_error *err)
 {
     narrow n = {.kernels = kernels, .source = source, .num_planes = num_planes, .width = width, .height = height};
     quell_status status = QUELL_ERR_OUT_OF_MEMORY;

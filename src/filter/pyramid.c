@@ -9,9 +9,9 @@ enum { FINE_UP_PLANES = BLEND + 1, MARGIN = 2 /* zeros round a plane: the reach 
 
 typedef struct level {
     uint32_t width, height;
-    size_t stride;   /* floats between rows, margins included */
-    float *x, *y;    /* [planes][height + 2 MARGIN][stride]; y from level 1 on */
-    float *logits;   /* [height][COARSE_PLANES][width], levels 1 .. 3; level 4: KERNEL planes */
+    size_t stride; /* floats between rows, margins included */
+    float *x, *y;  /* [planes][height + 2 MARGIN][stride]; y from level 1 on */
+    float *logits; /* [height][COARSE_PLANES][width], levels 1 .. 3; level 4: KERNEL planes */
 } level;
 
 typedef struct pyramid {

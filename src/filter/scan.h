@@ -18,13 +18,13 @@ typedef struct ql_fix {
 typedef struct ql_scan {
     ql_fix *fixes; /* by row, then column; owned */
     uint64_t num_fixes, num_bad, num_limited;
-    double mean;            /* of valid pixels' colour channels, before fixes */
-    int32_t is_zero;        /* every value is 0 */
-    int32_t is_constant;    /* every pixel is the same */
+    double mean;         /* of valid pixels' colour channels, before fixes */
+    int32_t is_zero;     /* every value is 0 */
+    int32_t is_constant; /* every pixel is the same */
     int32_t is_constant_alpha;
-    float *bins;            /* means of 8x8 pixels' luminance, for ql_log_exponent; owned; NULL unless asked */
+    float *bins; /* means of 8x8 pixels' luminance, for ql_log_exponent; owned; NULL unless asked */
     size_t num_bins;
-    uint64_t *row_start;    /* [height + 1] into fixes; owned */
+    uint64_t *row_start; /* [height + 1] into fixes; owned */
 } ql_scan;
 
 enum {

@@ -46,8 +46,8 @@ static inline vf v_frexp1(vf z, vf *exponent)
 {
     const __m512i bits = _mm512_castps_si512(z);
     *exponent = _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(bits, 23), _mm512_set1_epi32(127)));
-    return _mm512_castsi512_ps(_mm512_or_epi32(_mm512_and_epi32(bits, _mm512_set1_epi32(0x007fffff)),
-                                               _mm512_set1_epi32(0x3f800000)));
+    return _mm512_castsi512_ps(
+        _mm512_or_epi32(_mm512_and_epi32(bits, _mm512_set1_epi32(0x007fffff)), _mm512_set1_epi32(0x3f800000)));
 }
 
 static inline vf v_twice(const float *p, size_t n)

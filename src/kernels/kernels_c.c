@@ -60,8 +60,7 @@ static void conv_row(const ql_conv_row *conv)
             const float *w = conv->weights + c / QL_BLOCK * num_weights * QL_BLOCK + c % QL_BLOCK;
             float sum = conv->bias[c];
             for (size_t r = 0; r < conv->num_rows; ++r)
-                for (size_t k = 0; k < conv->num_k; ++k, w += QL_BLOCK)
-                    sum += conv->rows[r][x * conv->stride + k] * *w;
+                for (size_t k = 0; k < conv->num_k; ++k, w += QL_BLOCK) sum += conv->rows[r][x * conv->stride + k] * *w;
             if (conv->add) sum += conv->add[x * conv->num_out + c];
             conv->out[x * conv->num_out + c] = conv->relu && sum < 0.0f ? 0.0f : sum;
         }
@@ -146,8 +145,7 @@ static void planes_row(const float *in, size_t in_stride, uint32_t num_planes, u
 {
     for (size_t x = 0; x < num_pixels; ++x)
         for (size_t k = 0; k < num_planes; ++k)
-            for (size_t j = 0; j < group; ++j)
-                out[k * out_stride + x * group + j] = in[x * in_stride + k * group + j];
+            for (size_t j = 0; j < group; ++j) out[k * out_stride + x * group + j] = in[x * in_stride + k * group + j];
 }
 
 void ql_kernels_init_c(ql_kernels *kernels)

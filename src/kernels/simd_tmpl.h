@@ -123,8 +123,7 @@ static inline void v_store_some(float *p, vf v, size_t n)
         const size_t num_weights = (size_t)conv->num_rows * conv->num_k;                                               \
         for (size_t v = 0; v < V; ++v) {                                                                               \
             const size_t channel = c + v * QL_W, at = x * conv->num_out + channel;                                     \
-            const float *w =                                                                                           \
-                conv->weights + channel / QL_BLOCK * num_weights * QL_BLOCK + channel % QL_BLOCK;                      \
+            const float *w = conv->weights + channel / QL_BLOCK * num_weights * QL_BLOCK + channel % QL_BLOCK;         \
             vf sum = v_load(conv->bias + channel);                                                                     \
             for (size_t r = 0; r < conv->num_rows; ++r)                                                                \
                 for (size_t k = 0; k < conv->num_k; ++k, w += QL_BLOCK)                                                \

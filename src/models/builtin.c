@@ -19,12 +19,13 @@
 
 __asm__(SECTION ".balign 64\n"
                 ".globl " SYMBOL("ql_balanced_begin") "\n"
-                ".globl " SYMBOL("ql_balanced_end") "\n"
-                SYMBOL("ql_balanced_begin") ":\n"
-                ".incbin \"" QL_WEIGHTS_DIR "/quell-balanced.qwt\"\n"
-                SYMBOL("ql_balanced_end") ":\n"
-                ".byte 0\n"
-                ".text\n");
+                                                      ".globl " SYMBOL("ql_balanced_end") "\n" SYMBOL(
+                                                          "ql_balanced_begin") ":\n"
+                                                                               ".incbin \"" QL_WEIGHTS_DIR
+                                                                               "/quell-balanced.qwt\"\n" SYMBOL(
+                                                                                   "ql_balanced_end") ":\n"
+                                                                                                      ".byte 0\n"
+                                                                                                      ".text\n");
 
 extern const uint8_t ql_balanced_begin[], ql_balanced_end[];
 

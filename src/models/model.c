@@ -51,8 +51,8 @@ static quell_status read_file(const char *path, ql_memory *memory, uint8_t **dat
 {
     FILE *const file = fopen(path, "rb");
     if (file == NULL)
-        return ql_fail(err, QUELL_ERR_FILE_NOT_FOUND, "%s: no built-in model of that name, and no such weight file (%s)",
-                       path, strerror(errno));
+        return ql_fail(err, QUELL_ERR_FILE_NOT_FOUND,
+                       "%s: no built-in model of that name, and no such weight file (%s)", path, strerror(errno));
     quell_status status = QUELL_ERR_FILE_READ;
     *data = NULL;
     long size = -1;

@@ -88,8 +88,10 @@ static quell_status read_shape(ql_net *net, const ql_weights *weights, ql_error 
         const int32_t convs = l + 1 < QL_NET_LEVELS ? up[l] : 1;
         if (widths[l] < QL_BLOCK || widths[l] > 1024 || widths[l] % QL_BLOCK != 0 || down[l] < 1 ||
             down[l] > QL_NET_MAX_CONVS || convs < 1 || convs > QL_NET_MAX_CONVS)
-            return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: a network of %d channels and %d + %d convolutions at level "
-                           "%u is none that this library runs", weights->origin, widths[l], down[l], convs, l);
+            return ql_fail(err, QUELL_ERR_BAD_MODEL,
+                           "%s: a network of %d channels and %d + %d convolutions at level "
+                           "%u is none that this library runs",
+                           weights->origin, widths[l], down[l], convs, l);
         net->widths[l] = (uint32_t)widths[l];
         net->down_convs[l] = (uint32_t)down[l];
         if (l + 1 < QL_NET_LEVELS) net->up_convs[l] = (uint32_t)up[l];
@@ -268,7 +270,8 @@ uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height)
 {
     /* Two maps of the finest level, one of each other, and the coarse map of an upsampling. */
     uint64_t bytes = 2 * ql_map_bytes(width / 2, height / 2, net->widths[0]);
-    for (uint32_t l = 1; l < QL_NET_LEVELS; ++l) bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
+    for (uint32_t l = 1; l < QL_NET_LEVELS; ++l)
+        bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
     return bytes + ql_map_bytes(width / 4, height / 4, net->widths[0]);
 }
 
@@ -284,7 +287,8 @@ void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_n
     const uint32_t planes = ql_head_planes(head);
     ql_conv_apply_row(conv, kernels, &maps->level[0], x, y, num, 0, buffer);
     for (size_t dy = 0; dy < 2; ++dy)
-        kernels->planes_row(buffer + dy * planes * 2, conv->num_out, planes, 2, out + dy * planes * 2 * num, 2 * num, num);
+        kernels->planes_row(buffer + dy * planes * 2, conv->num_out, planes, 2, out + dy * planes * 2 * num, 2 * num,
+                            num);
 }
 
 void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,

@@ -8,9 +8,9 @@
 #include "nn/conv.h"
 
 enum {
-    QL_NET_LEVELS = 4,      /* 1/2, 1/4, 1/8, 1/16 */
-    QL_NET_ALIGNMENT = 16,  /* widths and heights of a region are multiples */
-    QL_NET_MAX_CONVS = 4,   /* 3x3 convolutions of a level, one way */
+    QL_NET_LEVELS = 4,     /* 1/2, 1/4, 1/8, 1/16 */
+    QL_NET_ALIGNMENT = 16, /* widths and heights of a region are multiples */
+    QL_NET_MAX_CONVS = 4,  /* 3x3 convolutions of a level, one way */
     QL_FILTER_TAPS = 25,
     QL_UP_TAPS = 9,
     QL_COARSE_PLANES = QL_FILTER_TAPS + QL_UP_TAPS + 2 /* kernel, upsampling, blend, partition */

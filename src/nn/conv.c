@@ -55,8 +55,7 @@ static void pack(ql_conv *conv, const float *file, uint32_t file_out, const uint
 }
 
 quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *name, uint32_t size, uint32_t num_in,
-                          uint32_t num_out, const uint32_t *order, uint32_t num_order, ql_memory *memory,
-                          ql_error *err)
+                          uint32_t num_out, const uint32_t *order, uint32_t num_order, ql_memory *memory, ql_error *err)
 {
     char key[QL_RECORD_NAME_BYTES];
     const uint32_t num = order ? num_order : num_out;

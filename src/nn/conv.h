@@ -20,9 +20,9 @@ float *ql_map_row(const ql_map *map, int64_t y); /* pixel (0, y); y from -1 to h
 size_t ql_map_bytes(uint32_t width, uint32_t height, uint32_t channels);
 
 typedef struct ql_conv {
-    uint32_t size;                   /* 3: 3x3, stride 1; 2: 2x2, stride 2; 1: 1x1 */
-    uint32_t num_in, num_out;        /* num_out is padded to QL_BLOCK */
-    float *weights, *bias;           /* packed for ql_conv_row */
+    uint32_t size;            /* 3: 3x3, stride 1; 2: 2x2, stride 2; 1: 1x1 */
+    uint32_t num_in, num_out; /* num_out is padded to QL_BLOCK */
+    float *weights, *bias;    /* packed for ql_conv_row */
 } ql_conv;
 
 /* Reads 'NAME.weight' [size][size][num_in][num_out] and 'NAME.bias' [num_out]. order, if not NULL, picks num_order of

@@ -83,8 +83,7 @@ quell_status ql_weights_open(ql_weights *weights, const void *data, size_t size_
     if (read_u64(bytes + 16) != size_bytes)
         return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: the weight file is cut short (%zu bytes)", origin, size_bytes);
     QL_TRY(check_digest(weights, bytes, size_bytes, err));
-    if (num_records > MAX_RECORDS ||
-        (size_t)num_records * ENTRY_BYTES > size_bytes - HEADER_BYTES - DIGEST_BYTES)
+    if (num_records > MAX_RECORDS || (size_t)num_records * ENTRY_BYTES > size_bytes - HEADER_BYTES - DIGEST_BYTES)
         return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: the weight file's table is too long", origin);
     weights->records = ql_alloc_zero(memory, num_records, sizeof *weights->records);
     if (weights->records == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory", origin);

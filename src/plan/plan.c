@@ -77,7 +77,8 @@ static quell_status find_sets(const ql_frame *frame, ql_memory *memory, ql_plan 
             continue;
         }
         uint32_t first = 0;
-        while (first < i && (plan->layers[first].set == QL_PLAN_NONE || !same_set(&frame->layers[first], layer))) ++first;
+        while (first < i && (plan->layers[first].set == QL_PLAN_NONE || !same_set(&frame->layers[first], layer)))
+            ++first;
         if (first < i) {
             out->set = plan->layers[first].set;
         } else {
@@ -161,7 +162,8 @@ static void choose(const ql_frame *frame, const char *wanted, ql_plan *plan, uin
 static void count(ql_plan *plan)
 {
     plan->num_denoised = 0;
-    for (uint32_t i = 0; i < plan->num_layers; ++i) plan->num_denoised += plan->layers[i].action == QUELL_ACTION_DENOISED;
+    for (uint32_t i = 0; i < plan->num_layers; ++i)
+        plan->num_denoised += plan->layers[i].action == QUELL_ACTION_DENOISED;
 }
 
 quell_status ql_plan_create(const ql_frame *frame, const char *wanted, ql_memory *memory, ql_plan *plan, ql_error *err)
@@ -176,7 +178,8 @@ quell_status ql_plan_create(const ql_frame *frame, const char *wanted, ql_memory
         for (uint32_t i = 0; i < frame->num_layers; ++i) choose(frame, wanted, plan, i);
         count(plan);
         if (plan->num_denoised == 0)
-            status = ql_fail(err, QUELL_ERR_NO_LAYER, "nothing to denoise: no Combined or 'Noisy Image' pass with "
+            status = ql_fail(err, QUELL_ERR_NO_LAYER,
+                             "nothing to denoise: no Combined or 'Noisy Image' pass with "
                              "colours among what was asked for; `quell inspect` lists the passes");
     }
     if (status != QUELL_OK) ql_plan_free(plan, memory);
@@ -190,9 +193,12 @@ void ql_plan_skip(ql_plan *plan, const ql_layer_facts *facts)
         if (layer->action != QUELL_ACTION_DENOISED) continue;
         /* A layer that Blender denoised needs its noisy original's filtered pixels even if that is constant. */
         if (layer->source != (int32_t)i) continue;
-        if (facts[i].is_zero) layer->reason = "zero everywhere";
-        else if (facts[i].is_constant) layer->reason = "the same everywhere";
-        else continue;
+        if (facts[i].is_zero)
+            layer->reason = "zero everywhere";
+        else if (facts[i].is_constant)
+            layer->reason = "the same everywhere";
+        else
+            continue;
         layer->action = QUELL_ACTION_SKIPPED;
     }
     count(plan);

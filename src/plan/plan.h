@@ -20,11 +20,11 @@ typedef struct ql_layer_facts {
 
 /* What happens to one layer of the frame. */
 typedef struct ql_plan_layer {
-    int32_t action;      /* QUELL_ACTION_* */
-    const char *reason;  /* static text */
-    int32_t group;       /* QL_GROUP_* whose kernels filter it; QL_GROUP_NONE */
-    int32_t source;      /* index of the layer whose pixels are filtered: itself, or its noisy original */
-    int32_t set;         /* index of its set, or QL_PLAN_NONE */
+    int32_t action;     /* QUELL_ACTION_* */
+    const char *reason; /* static text */
+    int32_t group;      /* QL_GROUP_* whose kernels filter it; QL_GROUP_NONE */
+    int32_t source;     /* index of the layer whose pixels are filtered: itself, or its noisy original */
+    int32_t set;        /* index of its set, or QL_PLAN_NONE */
 } ql_plan_layer;
 
 /* The layers of one view of one view layer: they share features and kernels. */

@@ -90,8 +90,8 @@ static void check_layer(const fixture *f, const ql_kernels *kernels, const char 
     const uint32_t size = ql_weights_find(&f->weights, key)->dims[0];
     ql_memory memory;
     ql_memory_init(&memory, 0);
-    assert_int_equal(
-        ql_conv_load(&conv, &f->weights, name, size, in_dims[2], out_dims[2], NULL, 0, &memory, &err), QUELL_OK);
+    assert_int_equal(ql_conv_load(&conv, &f->weights, name, size, in_dims[2], out_dims[2], NULL, 0, &memory, &err),
+                     QUELL_OK);
     ql_map map;
     assert_int_equal(ql_map_create(&map, in_dims[1], in_dims[0], in_dims[2], &memory, &err), QUELL_OK);
     for (uint32_t y = 0; y < in_dims[0]; ++y)
@@ -154,16 +154,22 @@ static void run_frame(const fixture *f, int32_t cpu, uint32_t tile, pass *passes
     assert_int_equal(quell_model_open(ctx, path, &model), QUELL_OK);
     assert_int_equal(quell_frame_create(ctx, width, height, &frame), QUELL_OK);
     for (size_t i = 0; i < num; ++i) {
-        const quell_image image = {.struct_size = sizeof image, .width = width, .height = height,
-                                   .num_channels = passes[i].channels, .data = passes[i].in};
+        const quell_image image = {.struct_size = sizeof image,
+                                   .width = width,
+                                   .height = height,
+                                   .num_channels = passes[i].channels,
+                                   .data = passes[i].in};
         assert_int_equal(quell_frame_add_layer(ctx, frame, passes[i].name, &image, QUELL_LAYER_COPY, NULL), QUELL_OK);
     }
     if (with_samples) assert_int_equal(quell_frame_set_samples(frame, (uint32_t)size[2]), QUELL_OK);
     const quell_options denoise = {.struct_size = sizeof denoise, .tile_size = tile};
     assert_int_equal(quell_denoise(ctx, model, frame, &denoise, NULL), QUELL_OK);
     for (size_t i = 0; i < num; ++i) {
-        const quell_image image = {.struct_size = sizeof image, .width = width, .height = height,
-                                   .num_channels = passes[i].channels, .data = passes[i].out};
+        const quell_image image = {.struct_size = sizeof image,
+                                   .width = width,
+                                   .height = height,
+                                   .num_channels = passes[i].channels,
+                                   .data = passes[i].out};
         const int64_t index = quell_frame_find_layer(frame, passes[i].name);
         assert_true(index >= 0);
         assert_int_equal(quell_frame_copy_layer(ctx, frame, (uint32_t)index, &image), QUELL_OK);
@@ -178,7 +184,9 @@ static void check_frame(const fixture *f, pass *passes, size_t num, int with_sam
     static const struct {
         int32_t cpu;
         uint32_t bits, tile;
-    } runs[] = {{QUELL_CPU_C, 0, 0}, {QUELL_CPU_AVX2, QL_CPU_AVX2, 0}, {QUELL_CPU_AVX512, QL_CPU_AVX512, 0},
+    } runs[] = {{QUELL_CPU_C, 0, 0},
+                {QUELL_CPU_AVX2, QL_CPU_AVX2, 0},
+                {QUELL_CPU_AVX512, QL_CPU_AVX512, 0},
                 {QUELL_CPU_AUTO, 0, 64}};
     int32_t size[3];
     ql_error err;

@@ -7,8 +7,8 @@
  * QUELL_SEED=N repeats a run; --bench prints ns per pixel.
  */
 #define _DEFAULT_SOURCE
-#include "base/cpu.h"
 #include "base/clock.h"
+#include "base/cpu.h"
 #include "kernels/kernels.h"
 
 #include <math.h>
@@ -71,15 +71,18 @@ static void fill(float *p, size_t num, int kind)
 {
     static const float extremes[] = {0.0f, 1e-42f, 1e-38f, 6e-8f, 1.0f, 65504.0f, 1e9f, 1e20f};
     for (size_t i = 0; i < num; ++i) {
-        if (kind == 0) p[i] = random_float(-1.0f, 1.0f);
-        else if (kind == 1) p[i] = exp2f(random_float(-20.0f, 20.0f));
-        else p[i] = extremes[random_below(sizeof extremes / sizeof *extremes)];
+        if (kind == 0)
+            p[i] = random_float(-1.0f, 1.0f);
+        else if (kind == 1)
+            p[i] = exp2f(random_float(-20.0f, 20.0f));
+        else
+            p[i] = extremes[random_below(sizeof extremes / sizeof *extremes)];
     }
 }
 
 /* Error bounds: |a - b| <= relative * scale, scale being the sum of the magnitudes that went into the value. */
-static void expect(const char *what, const char *isa, const float *got, const float *want, const float *scale, size_t num,
-                   double relative)
+static void expect(const char *what, const char *isa, const float *got, const float *want, const float *scale,
+                   size_t num, double relative)
 {
     ++num_checks;
     for (size_t i = 0; i < num; ++i) {
@@ -237,8 +240,7 @@ static void test_rows(const ql_kernels *c, const ql_kernels *k)
     k->sigmoid_row(in, a, width);
     c->sigmoid_row(in, b, width);
     expect("sigmoid_row", k->name, a, b, one, width, 4e-7);
-    for (uint32_t x = 0; x < width; ++x)
-        one[x] = 1.0f / (1.0f + expf(-fmaxf(-12.0f, fminf(12.0f, in[x]))));
+    for (uint32_t x = 0; x < width; ++x) one[x] = 1.0f / (1.0f + expf(-fmaxf(-12.0f, fminf(12.0f, in[x]))));
     expect("sigmoid_row against libm", k->name, a, one, one, width, 4e-6);
 
     fill(in, width, (int)random_below(3));
@@ -250,8 +252,10 @@ static void test_rows(const ql_kernels *c, const ql_kernels *k)
     for (uint32_t x = 0; x < width; ++x) b[x] = (float)(0.5 * log1p(8.0 * (double)fmaxf(0.0f, in[x] * scale)));
     expect("tone_row against libm", k->name, a, b, one, width, 4e-7);
 
-    const uint32_t planes = 1 + random_below(40), group = 1 + random_below(2), stride = planes * group + random_below(9);
-    float *const from = guarded((size_t)(width - 1) * stride + planes * group), *const wide = guarded((size_t)planes * group * width);
+    const uint32_t planes = 1 + random_below(40), group = 1 + random_below(2),
+                   stride = planes * group + random_below(9);
+    float *const from = guarded((size_t)(width - 1) * stride + planes * group), *const wide = guarded((size_t)planes *
+                                                                                                      group * width);
     float *const want = guarded((size_t)planes * group * width);
     fill(from, (size_t)(width - 1) * stride + planes * group, 0);
     k->planes_row(from, stride, planes, group, wide, (size_t)group * width, width);
@@ -295,8 +299,17 @@ static void bench(const ql_kernels *k)
     fill(weights, 9 * IN * IN, 0);
     fill(bias, IN, 0);
     const float *const row = in;
-    const ql_conv_row conv = {{row, row + IN * (PIXELS + 2), row + 2 * IN * (PIXELS + 2)}, weights, bias, NULL, out,
-                              3, 3 * IN, IN, PIXELS, IN, 1};
+    const ql_conv_row conv = {{row, row + IN * (PIXELS + 2), row + 2 * IN * (PIXELS + 2)},
+                              weights,
+                              bias,
+                              NULL,
+                              out,
+                              3,
+                              3 * IN,
+                              IN,
+                              PIXELS,
+                              IN,
+                              1};
     const int rounds = strcmp(k->name, "c") == 0 ? 2 : 100;
     k->conv_row(&conv);
     const double start = ql_clock_seconds();
