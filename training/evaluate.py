@@ -3,8 +3,8 @@
 
     python -m training.evaluate --run NAME [--spp 4,16,64] [--csv FILE] [--no-peer]
 
-relMSE with two references, whose own noise cancels: mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2. Quoted are the
-geometric mean over frames and the worst frame. Models see all light passes ("all") or Combined and guides ("beauty").
+relMSE with two references, whose own noise cancels: mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2. Quoted are
+the geometric mean over frames and the worst frame. Models see all light passes ("all") or Combined and guides ("beauty").
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 from training import peer
-from training.data.pack import CLOSURE_TOLERANCE, INPUT, closure_error, select_passes, to_target
 from training.data.crops import to_guides, to_layers
+from training.data.pack import CLOSURE_TOLERANCE, INPUT, closure_error, select_passes, to_target
 from training.data.store import FrameRecord, list_frames, pass_slice, read_render
 from training.export import load_run, round_to_half
 from training.infer import denoise_frame

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes a checkpoint as the weight file that the C library reads (docs/FORMATS.md).
 
-    python -m training.export --run NAME --out weights/quell-balanced.qwt --name quell-balanced
+python -m training.export --run NAME --out weights/quell-balanced.qwt --name quell-balanced
 """
 
 from __future__ import annotations

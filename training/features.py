@@ -96,9 +96,7 @@ def limit_fireflies(image: Tensor, emitter: Tensor | None = None) -> Tensor:
     return image * scale
 
 
-def make_features(
-    layers: Layers, guides: Guides, spp: Tensor, exposure: Tensor, depth_exponent: Tensor
-) -> Features:
+def make_features(layers: Layers, guides: Guides, spp: Tensor, exposure: Tensor, depth_exponent: Tensor) -> Features:
     """spp [n] (0: unknown), exposure [n]: log_exponent of beauty, depth_exponent [n]: that of the valid depth."""
     n, _, height, width = layers.beauty.shape
     like = layers.beauty

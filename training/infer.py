@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Denoises whole frames in PyTorch as the C library does: the reference of its golden tests, and what evaluation uses."""
+"""Denoises whole frames in PyTorch as the C library does: the reference of its golden tests, and of evaluation."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ def multiscale(image: Tensor, target: Tensor) -> Tensor:
 
 
 def energy(image: Tensor, target: Tensor) -> Tensor:
-    """Squared error of means over 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop what is
-    rare and bright; this one has the expectation as its optimum and so keeps the mean. At smaller scales it would spread
+    """Squared error of means over 64x64 and the whole crop, relative to the crop's mean alone. Robust losses drop what
+    is rare and bright; this one has the expectation as its optimum and so keeps the mean. At smaller scales it spreads
     every firefly over its surroundings (docs/decisions/0003-energy.md). One value per crop."""
     level = target.mean((1, 2, 3), keepdim=True).abs().detach() + 0.01
     total = image.new_zeros(image.shape[0])
@@ -50,8 +50,8 @@ def tone_l1(image: Tensor, target: Tensor) -> Tensor:
 
 
 def worth(noisy: Tensor, target: Tensor) -> Tensor:
-    """Weight of each crop: the inverse of its input's own error. What counts is the share of the noise that is left, in a
-    nearly clean crop as much as in a hopeless one; without it the noisiest crops alone would teach."""
+    """Weight of each crop: the inverse of its input's own error. What counts is the share of the noise that is left,
+    in a nearly clean crop as much as in a hopeless one; without it the noisiest crops alone would teach."""
     return 1 / (relative_error(noisy, target) + NOISE_FLOOR)
 
 

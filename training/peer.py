@@ -8,7 +8,12 @@ import functools
 import numpy as np
 
 #: name -> (quality, prefilter the guides with accurate filters and tell the main filter that they are clean)
-SETTINGS = {"fast/fast": (4, False), "balanced/accurate": (5, True), "high/fast": (6, False), "high/accurate": (6, True)}
+SETTINGS = {
+    "fast/fast": (4, False),
+    "balanced/accurate": (5, True),
+    "high/fast": (6, False),
+    "high/accurate": (6, True),
+}
 
 
 @functools.cache

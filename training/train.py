@@ -107,7 +107,9 @@ def train(name: str, config: TrainConfig, minutes: float) -> None:
         saved = {"config": dataclasses.asdict(config), "git": git_revision()}
         (folder / "config.json").write_text(json.dumps(saved, indent=1))
     macs = multiply_adds(config.model, 1, False), multiply_adds(config.model, 5, True)
-    print(f"{name}: step {step}, {len(frames)} frames, {macs[0]:.0f} to {macs[1]:.0f} multiply-adds per pixel", flush=True)
+    print(
+        f"{name}: step {step}, {len(frames)} frames, {macs[0]:.0f} to {macs[1]:.0f} multiply-adds per pixel", flush=True
+    )
 
     def state() -> dict:
         return {

@@ -11,7 +11,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-
 from exr_tools import DATA, Tool
 
 NOT_FOUND, READ, WRITE, NOT_EXR, UNSUPPORTED, LIMIT = 4, 5, 6, 7, 8, 12

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from exr_tools import DATA, Part, Tool, bits, plain, read
 
 FIXTURES = sorted(p.name for p in DATA.glob("*.exr") if p.name != "conv_tiled.exr")

@@ -51,7 +51,12 @@ def results(quell, exr_reader, tmp_path_factory) -> dict:
             report = folder / f"{source.stem}.json"
             quell.ok("denoise", source, "-o", target, "--report", report)
             layers = json.loads(report.read_text())["files"][0]["layers"]
-            out[name, spp] = (group(exr_reader(source)), group(exr_reader(target)), refs, {x["name"]: x for x in layers})
+            out[name, spp] = (
+                group(exr_reader(source)),
+                group(exr_reader(target)),
+                refs,
+                {x["name"]: x for x in layers},
+            )
     return out
 
 

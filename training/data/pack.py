@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stored renders to what training reads: one memory-mapped array per frame, so that a random crop costs no decoding.
+"""Stored renders to what training reads: memory-mapped arrays per frame, so that a random crop costs no decoding.
 
     inputs.npy  [renders, 47, h, w] float16: each render of up to MAX_INPUT_SPP samples, in INPUT's channel order
     sums.npy    [39, h, w] float32: sum over all renders of spp * value, in TARGET's channel order

@@ -40,7 +40,7 @@ def apply_kernel_reference(source: Tensor, logits: Tensor, radius: int, shift: i
 
 
 def apply_kernel(source: Tensor, logits: Tensor, radius: int, shift: int) -> Tensor:
-    """Softmax kernels over (2 radius + 1)^2 taps; shift 1 takes the taps round the parent pixel of the coarser level."""
+    """Softmax kernels over (2 radius + 1)^2 taps; shift 1 takes the taps round the coarser level's parent pixel."""
     if source.device.type == "cpu":
         return ApplyKernel.apply(source, logits, radius, shift)
     return apply_kernel_reference(source.float(), logits, radius, shift)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The quell family: one small U-Net at half resolution predicts kernel pyramids for groups of light passes.
 
-    features [28] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
-                  -> heads (1x1): per group 148 logits at 1/2 (4 fine pixels x 37), 36 at 1/2, 1/4, 1/8, 25 at 1/16
+features [28] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
+              -> heads (1x1): per group 148 logits at 1/2 (4 fine pixels x 37), 36 at 1/2, 1/4, 1/8, 25 at 1/16
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ COLOR_EPSILON = 0.02  # a colour this small halves the weight of its light: the 
 
 @dataclass(frozen=True)
 class QuellConfig:
-    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, and how many 3x3 convolutions each level has on its way down and up."""
+    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, and how many 3x3 convolutions each level has, down and up."""
 
     widths: tuple[int, int, int, int] = (48, 64, 80, 96)
     down_convs: tuple[int, int, int, int] = (1, 1, 1, 2)
@@ -65,7 +65,9 @@ class QuellNet(nn.Module):
         self.stem = nn.Conv2d(NUM_FEATURES, w[0], 2, stride=2)
         self.flags = nn.Linear(NUM_FLAGS, w[0], bias=False)
         self.down = nn.ModuleList(nn.Conv2d(w[i], w[i + 1], 2, stride=2) for i in range(3))
-        self.encoder = nn.ModuleList(nn.ModuleList(conv3x3(w[i]) for _ in range(config.down_convs[i])) for i in range(4))
+        self.encoder = nn.ModuleList(
+            nn.ModuleList(conv3x3(w[i]) for _ in range(config.down_convs[i])) for i in range(4)
+        )
         self.up = nn.ModuleList(nn.Conv2d(w[i + 1], w[i], 1) for i in range(3))
         self.decoder = nn.ModuleList(nn.ModuleList(conv3x3(w[i]) for _ in range(config.up_convs[i])) for i in range(3))
         heads = {}
