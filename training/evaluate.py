@@ -4,7 +4,7 @@
     python -m training.evaluate --run NAME [--spp 4,16,64] [--csv FILE] [--no-peer]
 
 relMSE with two references, whose own noise cancels: mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2. Quoted are
-the geometric mean over frames and the worst frame. Models see all light passes ("all") or Combined and guides ("beauty").
+the geometric mean over frames and the worst frame. Models see all passes ("all") or Combined and guides ("beauty").
 """
 
 from __future__ import annotations

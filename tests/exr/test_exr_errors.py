@@ -128,8 +128,8 @@ def test_damage_never_crashes(checked_tool: Tool, tmp_path: Path, name: str) -> 
         for _ in range(rng.choice((1, 2, 8, 64))):
             damaged[rng.randrange(8, end)] = rng.choice((0, 1, 127, 128, 255, rng.randrange(256)))
         source.write_bytes(damaged)
-        result = checked_tool("--all", "--list", "--noisy", "--mark", "all", source, target,
-                              env={"ASAN_OPTIONS": "allocator_may_return_null=1:max_allocation_size_mb=2000"})  # fmt: skip
+        limits = {"ASAN_OPTIONS": "allocator_may_return_null=1:max_allocation_size_mb=2000"}
+        result = checked_tool("--all", "--list", "--noisy", "--mark", "all", source, target, env=limits)
         if result.code != 0 and not (result.code < 20 and "error: " in result.err):
             keep = Path(os.environ.get("QUELL_TEST_KEEP", tmp_path)) / f"crash_{name}_{i}.exr"
             keep.write_bytes(damaged)

@@ -64,7 +64,7 @@ def test_unchanged_frame_is_the_same_file(tool: Tool, tmp_path: Path, name: str)
     tool.ok(DATA / name, tmp_path / "out.exr")
     before, after = read(DATA / name), read(tmp_path / "out.exr")
     assert len(before) == len(after)
-    for one, other in zip(before, after):
+    for one, other in zip(before, after, strict=True):
         assert_same_header(one, other, set())
         assert list(one.channels) == list(other.channels)
         assert_same_pixels(one, other, list(one.channels))
@@ -77,7 +77,7 @@ def test_denoised_layers_change_and_nothing_else(tool: Tool, tmp_path: Path, nam
     before, after = read(DATA / name), read(tmp_path / "out.exr")
     assert len(before) == len(after)
     num_changed = 0
-    for one, other in zip(before, after):
+    for one, other in zip(before, after, strict=True):
         light = [c for c in one.channels if is_light(c)]
         ignore = {"compression", "chunkCount"} if light else set()
         assert_same_header(one, other, ignore)
@@ -109,7 +109,7 @@ def test_threads_do_not_change_a_byte(tool: Tool, tmp_path: Path, name: str) -> 
 )  # fmt: skip
 def test_codecs(tool: Tool, tmp_path: Path, name: str, codec: int, expected: str) -> None:
     tool.ok("--codec", codec, "--mark", "all", DATA / name, tmp_path / "out.exr")
-    for one, other in zip(read(DATA / name), read(tmp_path / "out.exr")):
+    for one, other in zip(read(DATA / name), read(tmp_path / "out.exr"), strict=True):
         if not any(is_light(c) for c in one.channels):
             assert_same_header(one, other, set())
             assert_same_pixels(one, other, list(one.channels))
@@ -318,7 +318,7 @@ def test_chunks_that_do_not_compress(tool: Tool, tmp_path: Path, codec: int, siz
     """White bits come out of a codec larger than they went in, and are then stored as they are."""
     rng = np.random.default_rng(5)
     channels = {}
-    for i, letter in enumerate("RGB"):
+    for letter in "RGB":
         values = rng.integers(0, 1 << 16, size, dtype=np.uint16)
         values[(values & 0x7C00) == 0x7C00] &= 0x3FFF  # no NaN: the tool works on floats
         channels[f"L.Combined.{letter}"] = values.view(np.float16)

@@ -5,8 +5,8 @@
     sums.npy    [39, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
     pack.json   spp of each input, total spp, whether the passes sum to Combined
 
-Light passes are ratios of pixel means, so averages are taken of light x colour, which is linear in the samples. A target
-independent of input i is then (sums - spp_i * input_i) / (total - spp_i).
+Light passes are ratios of pixel means, so averages are taken of light x colour, which is linear in the samples. A
+target independent of input i is then (sums - spp_i * input_i) / (total - spp_i).
 """
 
 from __future__ import annotations
