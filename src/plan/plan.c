@@ -24,41 +24,48 @@ static int is_guide(int32_t role)
            role == QUELL_ROLE_DENOISING_DEPTH;
 }
 
-/* Whether a comma-separated list holds the layer's full name or pass name. */
+/* One name of a comma-separated list, without the spaces round it. */
+typedef struct list_name {
+    const char *text;
+    size_t length;
+} list_name;
+
+/* Takes the next name off *list; 0 at its end. Empty names are left out. */
+static int next_name(const char **list, list_name *out)
+{
+    while (**list == ' ' || **list == ',') ++*list;
+    if (**list == '\0') return 0;
+    out->text = *list;
+    out->length = strcspn(*list, ",");
+    *list += out->length;
+    while (out->text[out->length - 1] == ' ') --out->length;
+    return 1;
+}
+
+static int is_named(const ql_layer *layer, const list_name *name)
+{
+    return (strlen(layer->full_name) == name->length && memcmp(layer->full_name, name->text, name->length) == 0) ||
+           (strlen(layer->pass) == name->length && memcmp(layer->pass, name->text, name->length) == 0);
+}
+
+/* Whether a list holds the layer's full name or pass name. */
 static int list_has(const char *list, const ql_layer *layer)
 {
-    for (const char *at = list; *at;) {
-        while (*at == ' ') ++at;
-        const char *end = strchr(at, ',');
-        if (end == NULL) end = at + strlen(at);
-        size_t length = (size_t)(end - at);
-        while (length > 0 && at[length - 1] == ' ') --length;
-        const char *const names[] = {layer->full_name, layer->pass};
-        for (size_t i = 0; i < 2; ++i)
-            if (strlen(names[i]) == length && memcmp(names[i], at, length) == 0) return 1;
-        at = *end ? end + 1 : end;
-    }
+    list_name name;
+    while (next_name(&list, &name))
+        if (is_named(layer, &name)) return 1;
     return 0;
 }
 
-/* The first entry of the list that names no layer of the frame, or NULL. */
-static const char *missing_name(const ql_frame *frame, const char *list, char *name, size_t size_bytes)
+/* Finds the first entry of the list that names no layer of the frame; 0 when there is none. */
+static int find_missing_name(const ql_frame *frame, const char *list, list_name *name)
 {
-    for (const char *at = list; *at;) {
-        while (*at == ' ') ++at;
-        const char *end = strchr(at, ',');
-        if (end == NULL) end = at + strlen(at);
-        size_t length = (size_t)(end - at);
-        while (length > 0 && at[length - 1] == ' ') --length;
-        if (length >= size_bytes) length = size_bytes - 1;
-        memcpy(name, at, length);
-        name[length] = '\0';
-        int found = length == 0;
-        for (uint32_t i = 0; i < frame->num_layers && !found; ++i) found = list_has(name, &frame->layers[i]);
-        if (!found) return name;
-        at = *end ? end + 1 : end;
+    while (next_name(&list, name)) {
+        uint32_t i = 0;
+        while (i < frame->num_layers && !is_named(&frame->layers[i], name)) ++i;
+        if (i == frame->num_layers) return 1;
     }
-    return NULL;
+    return 0;
 }
 
 static quell_status find_sets(const ql_frame *frame, ql_memory *memory, ql_plan *plan, ql_error *err)
@@ -168,11 +175,12 @@ static void count(ql_plan *plan)
 
 quell_status ql_plan_create(const ql_frame *frame, const char *wanted, ql_memory *memory, ql_plan *plan, ql_error *err)
 {
-    char name[256];
+    list_name name;
     memset(plan, 0, sizeof *plan);
     const int is_list = wanted && *wanted && strcmp(wanted, "all") != 0 && strcmp(wanted, "beauty") != 0;
-    if (is_list && missing_name(frame, wanted, name, sizeof name) != NULL)
-        return ql_fail(err, QUELL_ERR_NO_LAYER, "there is no layer '%s'; `quell inspect` lists the names", name);
+    if (is_list && find_missing_name(frame, wanted, &name))
+        return ql_fail(err, QUELL_ERR_NO_LAYER, "there is no layer '%.*s'; `quell inspect` lists the names",
+                       (int)(name.length < 256 ? name.length : 256), name.text);
     quell_status status = find_sets(frame, memory, plan, err);
     if (status == QUELL_OK) {
         for (uint32_t i = 0; i < frame->num_layers; ++i) choose(frame, wanted, plan, i);
