@@ -18,7 +18,7 @@ import torch
 
 from training import peer
 from training.data.crops import to_guides, to_layers
-from training.data.pack import CLOSURE_TOLERANCE, INPUT, closure_error, select_passes, to_target
+from training.data.pack import CLOSURE_TOLERANCE, INPUT, choose_environment, select_passes
 from training.data.store import FrameRecord, list_frames, pass_slice, read_render
 from training.export import load_run, round_to_half
 from training.infer import denoise_frame
@@ -38,12 +38,9 @@ def evaluate_frame(model: Quell | None, record: FrameRecord, spp: int, use_peer:
     """relMSE of Combined by method."""
     refs = [read_render(record.renders[f"ref_{k}"])[pass_slice("Combined")][:3].astype(np.float32) for k in "ab"]
     render = read_render(record.renders[f"{spp}_0"])
-    candidates = {env: select_passes(render, env) for env in (True, False)}
-    errors = {}
-    for env, x in candidates.items():
-        errors[env] = closure_error(to_target(x))
-    x = candidates[min(errors, key=errors.get)]
-    closes = min(errors.values()) < CLOSURE_TOLERANCE
+    with_environment, error = choose_environment(render)
+    x = select_passes(render, with_environment)
+    closes = error < CLOSURE_TOLERANCE
     noisy = x[INPUT["beauty"]]
     out = {"noisy": rel_mse(noisy, *refs)}
     tensor = torch.from_numpy(x)[None]

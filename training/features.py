@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from training.data.store import BACKGROUND_DEPTH
+
 NUM_FEATURES = 28
 NUM_FLAGS = 6
 BIN = 8  # pixels along the edge of a bin of the log average: one firefly spoils one bin
-BACKGROUND_DEPTH = 1e9  # Cycles writes 1e10 or FLT_MAX / spp where a ray left the scene
 KEY_EXPONENT = 2  # the log average is brought to 2^-2, near middle grey
 FIREFLY_FACTOR = 16.0
 

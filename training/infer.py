@@ -10,8 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.data.crops import limit_layers
-from training.features import BACKGROUND_DEPTH, Features, Guides, Layers, log_exponent, make_features
-from training.models.quell import COLOR_EPSILON, Denoised, Quell, filter_layers  # noqa: F401
+from training.data.store import BACKGROUND_DEPTH
+from training.features import Features, Guides, Layers, log_exponent, make_features
+from training.models.quell import Denoised, Quell, filter_layers
 
 ALIGNMENT = 16
 

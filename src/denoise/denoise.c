@@ -177,7 +177,7 @@ static uint32_t region_edge(uint32_t tile, uint32_t halo, uint32_t image)
 
 static uint64_t tile_bytes(const work *w, uint32_t tile_width, uint32_t tile_height)
 {
-    return ql_region_peak_bytes(w->job.net, &w->plan, w->frame, w->frame->width,
+    return ql_region_peak_bytes(w->job.net, &w->plan, w->frame->width,
                                 region_edge(tile_width, w->halo, w->frame->width),
                                 region_edge(tile_height, w->halo, w->frame->height), ql_pool_num_threads(w->env->pool));
 }

@@ -353,9 +353,8 @@ static void restore_task(void *user, uint32_t task, uint32_t worker)
     }
 }
 
-static uint32_t num_filtered_channels(const ql_job *job, const ql_layer *layer, const ql_scan *scan, int32_t group)
+static uint32_t num_filtered_channels(const ql_layer *layer, const ql_scan *scan, int32_t group)
 {
-    (void)job;
     const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
     const int has_alpha = layer->num_channels == 4 && group == QL_GROUP_BEAUTY && !scan->is_constant_alpha;
     return colors + (has_alpha ? 1 : 0);
@@ -377,7 +376,7 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
         m.source = &b->job->frame->layers[layer->source];
         m.scan = &b->job->scans[layer->source];
         m.result = b->job->results[*next];
-        m.num_channels = num_filtered_channels(b->job, m.source, m.scan, b->group);
+        m.num_channels = num_filtered_channels(m.source, m.scan, b->group);
         const int own_weight = m.scan->num_bad > 0 || !has_shared_weight;
         if (b->num_planes + m.num_channels + (own_weight ? 1 : 0) > QL_PYRAMID_MAX_PLANES) return;
         m.first_plane = b->num_planes;
@@ -462,10 +461,9 @@ quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feat
     return status;
 }
 
-uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, const ql_frame *frame, uint32_t image_width,
-                              uint32_t width, uint32_t height, uint32_t num_workers)
+uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t image_width, uint32_t width,
+                              uint32_t height, uint32_t num_workers)
 {
-    (void)frame;
     const uint64_t features =
         num_workers * sizeof(float) * (feature_scratch_floats(image_width) + 4ull * width * QL_NUM_FEATURES);
     const uint64_t network = ql_net_peak_bytes(net, width, height) + features;

@@ -32,8 +32,8 @@ quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feat
                            const ql_region *region, ql_error *err);
 
 /* Working memory of ql_region_run, in bytes, as an upper bound. */
-uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, const ql_frame *frame, uint32_t image_width,
-                              uint32_t width, uint32_t height, uint32_t num_workers);
+uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t image_width, uint32_t width,
+                              uint32_t height, uint32_t num_workers);
 
 /* Pixels round a tile that its results are made from; a multiple of 16. */
 uint32_t ql_region_halo(const ql_net *net);

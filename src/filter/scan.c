@@ -3,6 +3,8 @@
  * joined in order, so the result is the same for any number of threads. */
 #include "filter/scan.h"
 
+#include "frame/roles.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -122,7 +124,7 @@ static void fill_bins(const scan_job *job, uint32_t task, const float *luminance
         for (uint32_t r = 0; r < num_rows; ++r)
             for (uint32_t x = x0; x < x1; ++x) {
                 float value = luminance[r * stride + x];
-                if (job->flags & QL_SCAN_DEPTH) value = value > 0.0f && value < QL_BACKGROUND ? value : 0.0f;
+                if (job->flags & QL_SCAN_DEPTH) value = value > 0.0f && value < QL_BACKGROUND_DEPTH ? value : 0.0f;
                 if (value == -INFINITY) continue;
                 sum += (double)value;
                 ++count;

@@ -32,7 +32,6 @@ enum {
     QL_SCAN_BINS = 2,  /* fill bins */
     QL_SCAN_DEPTH = 4  /* the layer is a depth: background counts as 0 in the bins */
 };
-#define QL_BACKGROUND 1e9f /* Cycles writes 1e10 or FLT_MAX / spp where a ray left the scene */
 
 /* emission: NULL, or a layer whose radiance is known to be emitted towards the camera and so is no firefly. num_colors:
  * how many channels are colour (alpha is none). Pixels of the layer must be decoded. */

@@ -5,6 +5,9 @@
 
 #include <stdint.h>
 
+/* Depths from here on are background: Cycles writes 1e10, or FLT_MAX / spp, where a ray left the scene. */
+#define QL_BACKGROUND_DEPTH 1e9f
+
 /* The kernels that filter a layer; layers of one group share them. */
 enum {
     QL_GROUP_NONE = -1,  /* never filtered by default */

@@ -2,6 +2,8 @@
 /* Feature planes: tone-mapped light, squashed colours, guides. Order as in training/features.py: make_features. */
 #include "models/features.h"
 
+#include "frame/roles.h"
+
 #include <math.h>
 
 int32_t ql_log_exponent(const float *bins, size_t num)

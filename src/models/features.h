@@ -8,9 +8,7 @@
 #include <stdint.h>
 
 enum { QL_NUM_FEATURES = 28, QL_NUM_FLAGS = 6 };
-enum { QL_LOG_BIN = 8 };         /* pixels along the edge of a bin of the log average */
-enum { QL_KEY_EXPONENT = 2 };    /* the log average is brought to 2^-2, near middle grey */
-#define QL_BACKGROUND_DEPTH 1e9f /* Cycles writes 1e10 or FLT_MAX / spp where a ray left the scene */
+enum { QL_KEY_EXPONENT = 2 }; /* the log average is brought to 2^-2, near middle grey */
 
 /* Planar rows of num_pixels values each, finite, bad pixels being 0; NULL: the frame has no such pass. */
 typedef struct ql_feature_rows {

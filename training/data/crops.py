@@ -166,10 +166,6 @@ def limit_layers(layers: Layers) -> Layers:
     return Layers(limit_fireflies(layers.beauty, emitter), light, layers.color, layers.emission)
 
 
-def depth_exponent(depth: Tensor) -> int:
-    return log_exponent(depth)
-
-
 def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:
     """Batch `index`: all its crops either have light passes or have none."""
     rng = np.random.default_rng([config.seed, index])
@@ -196,7 +192,7 @@ def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Bat
     known = torch.from_numpy(spp) * float(rng.random() >= config.hide_spp)
     jitter = torch.from_numpy(rng.integers(-1, 2, config.batch).astype(np.float32))
     exposure = torch.tensor([log_exponent(b) for b in layers.beauty], dtype=torch.float32) + jitter
-    depth = torch.tensor([depth_exponent(d) for d in x[:, INPUT["depth"]]], dtype=torch.float32)
+    depth = torch.tensor([log_exponent(d) for d in x[:, INPUT["depth"]]], dtype=torch.float32)
     features = make_features(layers, guides, known, exposure, depth)
     return Batch(features, layers, target_layers(t), torch.from_numpy(spp))
 

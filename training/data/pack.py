@@ -97,6 +97,13 @@ def closure_error(target: np.ndarray) -> float:
     return float(np.abs(total - beauty).mean() / max(beauty.mean(), 1e-6))
 
 
+def choose_environment(render: np.ndarray) -> tuple[bool, float]:
+    """Whether the passes sum to Combined better with Environment than without, and by how much they then miss."""
+    errors = {env: closure_error(to_target(select_passes(render, env))) for env in (True, False)}
+    best = errors[True] <= errors[False]
+    return best, errors[best]
+
+
 def pack_frame(record: FrameRecord, folder: Path) -> None:
     """Writes one frame's pack; the folder appears whole or not at all."""
     renders = sorted(((int(key.split("_")[0]), path) for key, path in record.renders.items() if key[0].isdigit()))
@@ -104,8 +111,7 @@ def pack_frame(record: FrameRecord, folder: Path) -> None:
     if sum(spp for spp, _ in decoded) < 16:
         raise CorruptRenderError(f"{record.folder}: fewer than 16 samples in all")
     best = decoded[-1][1]
-    errors = {env: closure_error(to_target(select_passes(best, env))) for env in (True, False)}
-    with_environment = errors[True] <= errors[False]
+    with_environment, error = choose_environment(best)
     inputs, sums, total = [], np.zeros((NUM_TARGET, *best.shape[1:]), np.float32), 0
     for spp, render in decoded:
         half = select_passes(render, with_environment).clip(-65504, 65504).astype(np.float16)
@@ -122,8 +128,8 @@ def pack_frame(record: FrameRecord, folder: Path) -> None:
         "family": record.family,
         "spp": [spp for spp, _ in inputs],
         "total_spp": total,
-        "closes": errors[with_environment] < CLOSURE_TOLERANCE,
-        "closure_error": errors[with_environment],
+        "closes": error < CLOSURE_TOLERANCE,
+        "closure_error": error,
         "renders": sorted(record.renders),
         "version": VERSION,
     }
