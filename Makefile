@@ -166,7 +166,7 @@ $(OBJ)/src/models/builtin.o: $(WEIGHTS)
 openexr_version = $(shell sed -n 's/^\#define OPENEXR_VERSION_STRING //p' $(OPENEXR)/include/OpenEXR/OpenEXRConfig.h)
 $(OBJ)/src/cli/main.o: EXTRA_FLAGS = -DCLI_OPENEXR_VERSION='$(openexr_version)'
 $(OBJ)/src/cli/main.o: | $(OPENEXR_STAMP)
-$(OBJ)/src/cli/json.o $(OBJ)/src/cli/denoise.o $(OBJ)/src/cli/inspect.o $(OBJ)/src/cli/compare.o: EXTRA_FLAGS = \
+$(addprefix $(OBJ)/src/cli/,bench.o json.o denoise.o inspect.o compare.o): EXTRA_FLAGS = \
 	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags libcjson))
 $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp)): EXTRA_FLAGS = \
 	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags OpenImageIO)) -isystem /usr/include/Imath

@@ -374,10 +374,17 @@ typedef struct quell_report_summary {
     uint32_t halo;         /* pixels read beyond a tile's edge */
     uint64_t peak_bytes;   /* working memory: planned by quell_plan, measured by quell_denoise */
     double macs_per_pixel; /* of the network parts that ran */
-    double seconds_features, seconds_network, seconds_filter, seconds_total; /* wall clock; 0 from quell_plan */
-    const char *combined;   /* how Combined was rebuilt: "direct", "from passes", "from passes and
+    /* Wall clock of the stages; 0 from quell_plan. The rest of seconds_total is results and the report itself. */
+    double seconds_features; /* making the network's inputs: what the threads spent on it, over their number */
+    double seconds_network;
+    double seconds_filter;
+    double seconds_total;     /* of quell_denoise: all but reading the file */
+    const char *combined;     /* how Combined was rebuilt: "direct", "from passes", "from passes and
                                          environment"; lent */
-    const char *model_name; /* lent */
+    const char *model_name;   /* lent */
+    double seconds_decode;    /* reading the frame's file; 0 for a frame from memory */
+    double seconds_analyse;   /* looking at the layers, and the plan */
+    double seconds_recombine; /* putting Combined together from its parts */
 } quell_report_summary;
 
 /* NULL is allowed. Since: 0.1 */

@@ -88,5 +88,6 @@ int cli_denoise(int argc, char **argv);
 int cli_inspect(int argc, char **argv);
 int cli_compare(int argc, char **argv);
 int cli_preview(int argc, char **argv);
+int cli_bench(int argc, char **argv);
 
 #endif

@@ -282,6 +282,9 @@ static cJSON *file_json(const denoise_args *args, int index, const file_result *
     quell_report_summary summary = {.struct_size = sizeof summary};
     if (quell_report_get_summary(result->report, &summary) == QUELL_OK) {
         cJSON_AddItemToObject(json, "summary", cli_json_summary(&summary));
+        cJSON *stages = cli_json_stages(&summary);
+        if (stages) cli_json_number(stages, "encode", result->seconds_write);
+        cJSON_AddItemToObject(json, "stages", stages);
     }
     cJSON *layers = cJSON_AddArrayToObject(json, "layers");
     quell_report_layer layer = {.struct_size = sizeof layer};

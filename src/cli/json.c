@@ -83,10 +83,19 @@ cJSON *cli_json_summary(const quell_report_summary *summary)
     cli_json_number(json, "halo", summary->halo);
     cli_json_number(json, "peak_bytes", (double)summary->peak_bytes);
     cli_json_number(json, "macs_per_pixel", summary->macs_per_pixel);
-    cli_json_number(json, "seconds_features", summary->seconds_features);
-    cli_json_number(json, "seconds_network", summary->seconds_network);
-    cli_json_number(json, "seconds_filter", summary->seconds_filter);
-    cli_json_number(json, "seconds_total", summary->seconds_total);
+    return json;
+}
+
+cJSON *cli_json_stages(const quell_report_summary *summary)
+{
+    cJSON *json = cJSON_CreateObject();
+    if (!json) return NULL;
+    cli_json_number(json, "decode", summary->seconds_decode);
+    cli_json_number(json, "analyse", summary->seconds_analyse);
+    cli_json_number(json, "features", summary->seconds_features);
+    cli_json_number(json, "network", summary->seconds_network);
+    cli_json_number(json, "filter", summary->seconds_filter);
+    cli_json_number(json, "recombine", summary->seconds_recombine);
     return json;
 }
 

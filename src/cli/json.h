@@ -14,6 +14,7 @@ void cli_json_number(cJSON *object, const char *name, double value);
 cJSON *cli_json_layer(const quell_layer_info *layer);
 cJSON *cli_json_report_layer(const quell_report_layer *layer);
 cJSON *cli_json_summary(const quell_report_summary *summary);
+cJSON *cli_json_stages(const quell_report_summary *summary); /* seconds of each; the caller knows of encode */
 cJSON *cli_json_metrics(const quell_metrics *metrics);
 
 const char *cli_action_name(int32_t action);

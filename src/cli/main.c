@@ -19,6 +19,7 @@ static const char help_text[] =
     "  inspect IN.exr...             layers, their roles, and what denoise would do with them\n"
     "  compare A.exr REF.exr [REF2]  errors per layer against one or two references\n"
     "  preview IN.exr... -o OUT.png  a picture for the screen, several files side by side\n"
+    "  bench                         time and memory of a denoise on this machine\n"
     "\n"
     "  quell COMMAND --help          the options of a command\n"
     "  quell --version [-v]          the version; -v: models, kernels and libraries too\n"
@@ -86,7 +87,9 @@ static int run(int argc, char **argv)
         const char *name;
         int (*run)(int argc, char **argv);
     } commands[] = {
-        {"denoise", cli_denoise}, {"inspect", cli_inspect}, {"compare", cli_compare}, {"preview", cli_preview}};
+        {"denoise", cli_denoise}, {"inspect", cli_inspect}, {"compare", cli_compare},
+        {"preview", cli_preview}, {"bench", cli_bench},
+    };
 
     if (argc < 2) {
         fputs(help_text, stderr);

@@ -21,7 +21,7 @@ typedef struct work {
     ql_job job;
     uint32_t tile_width, tile_height, num_tiles, halo;
     uint64_t planned_bytes;
-    double seconds_features;
+    double seconds_analyse;
 } work;
 
 /* ---- Looking at the layers ---------------------------------------------------------------------------------------- */
@@ -405,10 +405,13 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     summary->combined = ql_plan_combined_name(combined);
     summary->model_name = report->model_name;
     if (!dry) {
-        summary->seconds_features = w->seconds_features;
+        summary->seconds_features = w->job.seconds_features;
         summary->seconds_network = w->job.seconds_network;
         summary->seconds_filter = w->job.seconds_filter;
         summary->seconds_total = seconds;
+        summary->seconds_decode = w->frame->seconds_decode;
+        summary->seconds_analyse = w->seconds_analyse;
+        summary->seconds_recombine = w->job.seconds_recombine;
     }
     *out = report;
     return QUELL_OK;
@@ -425,7 +428,7 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     env->progress_to = 0.05;
     quell_status status = ql_plan_create(frame, options->layers, env->memory, &w.plan, err);
     if (status == QUELL_OK) status = look(&w, err);
-    w.seconds_features = ql_clock_seconds() - start;
+    w.seconds_analyse = ql_clock_seconds() - start;
     if (status == QUELL_OK) {
         w.job =
             (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};

@@ -1,8 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Features of a region, the network, then group by group the filters; Combined comes last, when its parts are there. */
+/* Features of a region, the network, then group by group the filters; Combined comes last, when its parts are there
+ * (recombine.c puts it together). */
 #include "denoise/region.h"
 
 #include "base/clock.h"
+#include "denoise/recombine.h"
 #include "filter/narrow.h"
 #include "filter/pyramid.h"
 
@@ -44,13 +46,20 @@ typedef struct batch {
     size_t scratch_floats;
 } batch;
 
+/* What one worker spent; a cache line of its own. */
+typedef struct worker_seconds {
+    double seconds;
+    uint8_t padding[QL_ALIGNMENT - sizeof(double)];
+} worker_seconds;
+
 typedef struct feature_job {
     const ql_job *job;
     const ql_plan_set *set;
     const ql_feature_setup *setup;
     const ql_region *region;
-    float *scratch; /* per worker: FEATURE_ROWS rows of the image's width, then one row of results */
+    float *scratch; /* per worker: FEATURE_ROWS rows of the image's width */
     size_t scratch_floats;
+    worker_seconds *seconds; /* per worker */
 } feature_job;
 
 /* ---- Features ----------------------------------------------------------------------------------------------------- */
@@ -85,12 +94,11 @@ static void read_light(const feature_job *f, int32_t direct, int32_t indirect, u
         for (uint32_t x = 0; x < f->job->frame->width; ++x) rows[c][x] += other[c][x];
 }
 
-static void feature_row(void *user, uint32_t region_y, uint32_t worker, float *out)
+static void make_row(const feature_job *f, uint32_t region_y, uint32_t worker, float *out)
 {
     static const int32_t direct[4] = {QUELL_ROLE_DIFFUSE_DIRECT, QUELL_ROLE_GLOSSY_DIRECT,
                                       QUELL_ROLE_TRANSMISSION_DIRECT, QUELL_ROLE_VOLUME_DIRECT};
     static const int32_t color[3] = {QUELL_ROLE_DIFFUSE_COLOR, QUELL_ROLE_GLOSSY_COLOR, QUELL_ROLE_TRANSMISSION_COLOR};
-    const feature_job *const f = user;
     const ql_frame *const frame = f->job->frame;
     const ql_region *const region = f->region;
     const uint32_t y = region->ry + region_y, width = frame->width;
@@ -142,6 +150,14 @@ static void feature_row(void *user, uint32_t region_y, uint32_t worker, float *o
     memset(out + (size_t)num * QL_NUM_FEATURES, 0, (size_t)(region->width - num) * QL_NUM_FEATURES * sizeof *out);
 }
 
+static void feature_row(void *user, uint32_t region_y, uint32_t worker, float *out)
+{
+    const feature_job *const f = user;
+    const double start = ql_clock_seconds();
+    make_row(f, region_y, worker, out);
+    f->seconds[worker].seconds += ql_clock_seconds() - start;
+}
+
 static size_t feature_scratch_floats(uint32_t image_width)
 {
     return (size_t)FEATURE_ROWS * image_width;
@@ -152,12 +168,24 @@ static quell_status run_network(ql_job *job, ql_env *env, const ql_plan_set *set
 {
     feature_job f = {.job = job, .set = set, .setup = setup, .region = region};
     f.scratch_floats = feature_scratch_floats(job->frame->width);
-    f.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), f.scratch_floats * sizeof *f.scratch);
-    if (f.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of features");
-    float flags[QL_NUM_FLAGS];
-    ql_make_flags(setup, flags);
-    const quell_status status =
-        ql_net_run(job->net, job->kernels, env, region->width, region->height, flags, feature_row, &f, maps, err);
+    const uint32_t num_workers = ql_pool_num_threads(env->pool);
+    f.scratch = ql_alloc(env->memory, num_workers, f.scratch_floats * sizeof *f.scratch);
+    f.seconds = ql_alloc_zero(env->memory, num_workers, sizeof *f.seconds);
+    quell_status status = QUELL_ERR_OUT_OF_MEMORY;
+    if (f.scratch == NULL || f.seconds == NULL) {
+        ql_fail(err, status, "out of memory: rows of features");
+    } else {
+        float flags[QL_NUM_FLAGS];
+        ql_make_flags(setup, flags);
+        const double start = ql_clock_seconds();
+        status =
+            ql_net_run(job->net, job->kernels, env, region->width, region->height, flags, feature_row, &f, maps, err);
+        double features = 0.0;
+        for (uint32_t i = 0; i < num_workers; ++i) features += f.seconds[i].seconds / num_workers;
+        job->seconds_features += features;
+        job->seconds_network += ql_clock_seconds() - start - features;
+    }
+    ql_free(env->memory, f.seconds);
     ql_free(env->memory, f.scratch);
     return status;
 }
@@ -248,63 +276,12 @@ static float *result_row(const batch *b, const member *m, uint32_t channel, uint
     return m->result + ((size_t)channel * frame->height + y) * frame->width;
 }
 
-/* Row y of a part of Combined: its result, or its pixels where it needed no filter; NULL where it is black. slot: which
- * row of scratch may be used. */
-static const float *part_row(const batch *b, int32_t role, uint32_t channel, uint32_t y, uint32_t slot, uint32_t worker)
-{
-    const ql_frame *const frame = b->job->frame;
-    const int32_t index = b->set->role_layer[role];
-    if (index == QL_PLAN_NONE || b->job->scans[index].is_zero) return NULL;
-    const float *const result = b->job->results[index];
-    if (result) return result + ((size_t)channel * frame->height + y) * frame->width;
-    float *const row = worker_scratch(b, worker) + (size_t)slot * frame->width;
-    ql_layer_read_row(&frame->layers[index], frame->width, channel, y, row);
-    return row;
-}
-
-/* Combined = m * (sum of its denoised parts) + (1 - m) * itself filtered directly; m by the network, per pixel. */
-static void mix_combined(const batch *b, const member *m, uint32_t y, uint32_t x, uint32_t num, uint32_t worker)
-{
-    static const int32_t triples[3][3] = {
-        {QUELL_ROLE_DIFFUSE_DIRECT, QUELL_ROLE_DIFFUSE_INDIRECT, QUELL_ROLE_DIFFUSE_COLOR},
-        {QUELL_ROLE_GLOSSY_DIRECT, QUELL_ROLE_GLOSSY_INDIRECT, QUELL_ROLE_GLOSSY_COLOR},
-        {QUELL_ROLE_TRANSMISSION_DIRECT, QUELL_ROLE_TRANSMISSION_INDIRECT, QUELL_ROLE_TRANSMISSION_COLOR}};
-    static const int32_t added[4] = {QUELL_ROLE_VOLUME_DIRECT, QUELL_ROLE_VOLUME_INDIRECT, QUELL_ROLE_EMISSION,
-                                     QUELL_ROLE_ENVIRONMENT};
-    const ql_region *const region = b->region;
-    float logits[4 * QL_HEAD_SPAN], sum[2 * QL_HEAD_SPAN];
-    /* A fine row's span starts and ends on even pixels of the region. */
-    const uint32_t from = x - region->rx, half = from / 2, num_half = (from + num + 1) / 2 - half;
-    const uint32_t line = y - region->ry;
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, 0, QL_HEAD_MIX, half, line / 2, num_half,
-                       worker_scratch(b, worker), logits);
-    float *const mix = logits + (line % 2) * 2 * num_half;
-    b->job->kernels->sigmoid_row(mix, mix, 2 * num_half);
-    const float *const weight = mix + (from - 2 * half);
-    const int with_environment = b->set->combined == QL_COMBINED_PASSES_ENVIRONMENT;
-    for (uint32_t c = 0; c < MAX_COLORS; ++c) {
-        memset(sum, 0, num * sizeof *sum);
-        for (uint32_t t = 0; t < 3; ++t) {
-            const float *part[3];
-            for (uint32_t i = 0; i < 3; ++i) part[i] = part_row(b, triples[t][i], c, y, i, worker);
-            if (part[2] == NULL || (part[0] == NULL && part[1] == NULL)) continue;
-            for (uint32_t i = 0; i < num; ++i)
-                sum[i] += ((part[0] ? part[0][x + i] : 0.0f) + (part[1] ? part[1][x + i] : 0.0f)) * part[2][x + i];
-        }
-        for (uint32_t t = 0; t < (with_environment ? 4u : 3u); ++t) {
-            const float *const part = part_row(b, added[t], c, y, 0, worker);
-            for (uint32_t i = 0; part && i < num; ++i) sum[i] += part[x + i];
-        }
-        float *const out = result_row(b, m, c, y) + x;
-        for (uint32_t i = 0; i < num; ++i) out[i] = weight[i] * sum[i] + (1.0f - weight[i]) * out[i];
-    }
-}
-
 static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32_t num, uint32_t worker,
                         const float *const *planes)
 {
     const batch *const b = user;
     const ql_region *const region = b->region;
+    (void)worker;
     const uint32_t y = region->ry + region_y;
     const uint32_t from = region->rx + region_x, to = from + num;
     const uint32_t x0 = from > region->x0 ? from : region->x0, x1 = to < region->x1 ? to : region->x1;
@@ -319,9 +296,6 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
             for (uint32_t x = x0; x < x1; ++x)
                 if (weight[x - from] > MIN_WEIGHT) out[x] = value[x - from] / weight[x - from];
         }
-        const int is_combined = b->set->combined != QL_COMBINED_DIRECT && b->group == QL_GROUP_BEAUTY &&
-                                m->layer == b->set->role_layer[QUELL_ROLE_COMBINED];
-        if (is_combined) mix_combined(b, m, y, x0, x1 - x0, worker);
     }
 }
 
@@ -407,6 +381,11 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
             QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
         else
             QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
+        if (combined_only && b->set->combined != QL_COMBINED_DIRECT) {
+            const double start = ql_clock_seconds();
+            QL_TRY(ql_recombine(b->job, env, b->set, b->maps, b->region, err));
+            b->job->seconds_recombine += ql_clock_seconds() - start;
+        }
         int restores = b->color_role != QUELL_ROLE_OTHER;
         for (uint32_t i = 0; i < b->num_members; ++i) restores |= b->members[i].num_channels == 4;
         if (restores) QL_TRY(ql_env_run(env, b->region->y1 - b->region->y0, restore_task, b));
@@ -447,17 +426,16 @@ quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feat
                            const ql_region *region, ql_error *err)
 {
     ql_net_maps maps = {0}; /* so that it can be freed whatever fails */
-    const double start = ql_clock_seconds(), from = env->progress_from, to = env->progress_to;
+    const double from = env->progress_from, to = env->progress_to;
     env->progress_to = from + 0.6 * (to - from);
     quell_status status = run_network(job, env, &job->plan->sets[set], setup, region, &maps, err);
-    const double middle = ql_clock_seconds();
     env->progress_from = env->progress_to;
     env->progress_to = to;
+    const double start = ql_clock_seconds(), recombined = job->seconds_recombine;
     if (status == QUELL_OK) status = run_filters(job, env, set, region, &maps, err);
     env->progress_from = from;
     ql_net_maps_destroy(&maps, env->memory);
-    job->seconds_network += middle - start;
-    job->seconds_filter += ql_clock_seconds() - middle;
+    job->seconds_filter += ql_clock_seconds() - start - (job->seconds_recombine - recombined);
     return status;
 }
 

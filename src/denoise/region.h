@@ -18,7 +18,8 @@ typedef struct ql_job {
     const ql_plan *plan;
     const ql_scan *scans; /* [num_layers]; empty for layers that nothing reads */
     float **results;      /* [num_layers], [channels][height][width] each; NULL for layers that are not filtered */
-    double seconds_network, seconds_filter; /* summed up by ql_region_run */
+    /* Wall clock, summed up by ql_region_run. Features are made inside the network's tasks: theirs is the workers' mean. */
+    double seconds_features, seconds_network, seconds_filter, seconds_recombine;
 } ql_job;
 
 /* The pixels x0 <= x < x1, y0 <= y < y1 whose results are wanted, and the region that is computed for them: (rx, ry)

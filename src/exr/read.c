@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Pixels from a file into a frame's layers: one task per chunk, each worker with a decoder of its own over the shared
  * file. Rows go straight into the layers' planes in the file's own type. */
+#include "base/clock.h"
 #include "exr/chunk.h"
 #include "exr/exr.h"
 #include "exr/layers.h"
@@ -163,6 +164,7 @@ fail:
 
 quell_status ql_exr_read(ql_env *env, const char *path, uint64_t max_image_pixels, ql_frame **out, ql_error *err)
 {
+    const double start = ql_clock_seconds();
     ql_frame *frame = NULL;
     uint8_t *wants = NULL;
     quell_status status;
@@ -182,6 +184,7 @@ quell_status ql_exr_read(ql_env *env, const char *path, uint64_t max_image_pixel
     for (uint32_t i = 0; i < frame->num_layers; i++) wants[i] = frame->layers[i].role != QUELL_ROLE_OTHER;
     QL_TRY_GOTO(read_layers(env, frame, wants, err));
     ql_free(env->memory, wants);
+    frame->seconds_decode = ql_clock_seconds() - start;
     *out = frame;
     return QUELL_OK;
 

@@ -78,7 +78,7 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_layer, mean_before, 40);
     AT(quell_report_layer, mean_after, 48);
 
-    SIZE(quell_report_summary, 88);
+    SIZE(quell_report_summary, 112);
     AT(quell_report_summary, num_layers, 4);
     AT(quell_report_summary, tile_width, 8);
     AT(quell_report_summary, tile_height, 12);
@@ -92,6 +92,9 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_summary, seconds_total, 64);
     AT(quell_report_summary, combined, 72);
     AT(quell_report_summary, model_name, 80);
+    AT(quell_report_summary, seconds_decode, 88);
+    AT(quell_report_summary, seconds_analyse, 96);
+    AT(quell_report_summary, seconds_recombine, 104);
 
     SIZE(quell_metrics, 56);
     AT(quell_metrics, reserved0, 4);

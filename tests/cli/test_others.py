@@ -19,6 +19,7 @@ def test_help_everywhere(quell):
         ["inspect", "-h"],
         ["compare", "--help"],
         ["preview", "--help"],
+        ["bench", "--help"],
     ):
         done = quell.ok(*arguments)
         assert done.stdout.startswith("Usage: quell") and done.stderr == ""
@@ -27,7 +28,7 @@ def test_help_everywhere(quell):
 
 def test_help_and_manual_name_the_same_options(quell, root):
     manual = (root / "docs" / "cli.md").read_text()
-    for command in ("denoise", "inspect", "compare", "preview"):
+    for command in ("denoise", "inspect", "compare", "preview", "bench"):
         for option in re.findall(r"--[a-z-]+", quell.ok(command, "--help").stdout):
             assert option in manual, f"{command} {option}"
 

@@ -1,0 +1,13 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Puts Combined together from its denoised parts. */
+#ifndef QL_DENOISE_RECOMBINE_H
+#define QL_DENOISE_RECOMBINE_H
+
+#include "denoise/region.h"
+
+/* Combined = m * (sum of its parts) + (1 - m) * itself as filtered directly, m by the network for each pixel. The
+ * results of all parts and of Combined must be there; set->combined must not be QL_COMBINED_DIRECT. */
+quell_status ql_recombine(const ql_job *job, ql_env *env, const ql_plan_set *set, const ql_net_maps *maps,
+                          const ql_region *region, ql_error *err);
+
+#endif
