@@ -12,7 +12,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { QL_BLOCK = 16 }; /* output channels come in blocks of this many */
+enum { QL_BLOCK = 16 };        /* output channels come in blocks of this many */
+enum { QL_MAX_CONV_ROWS = 5 }; /* 5x5 */
 
 /* A convolution of one row, whatever its size: out[x][c] = act(bias[c] + sum over rows r and k < num_k of
  * rows[r][x * stride + k] * weights[c / 16][r * num_k + k][c % 16] + add[x][c]).
@@ -21,7 +22,7 @@ enum { QL_BLOCK = 16 }; /* output channels come in blocks of this many */
  * weights, bias and out are aligned to 64 bytes; out is [num_pixels][num_out], num_out a multiple of QL_BLOCK. add has
  * out's shape, or is NULL; it may be out itself. relu: 0 or 1. */
 typedef struct ql_conv_row {
-    const float *rows[3];
+    const float *rows[QL_MAX_CONV_ROWS];
     const float *weights, *bias, *add;
     float *out;
     uint32_t num_rows, num_k, stride, num_pixels, num_out;
@@ -72,6 +73,39 @@ typedef void ql_sigmoid_row_fn(const float *logits, float *out, uint32_t num_pix
 /* out[x] = 0.5 * log(1 + 8 * max(0, scale * in[x])): radiance as the network sees it. in may be out. */
 typedef void ql_tone_row_fn(const float *in, float scale, float *out, uint32_t num_pixels);
 
+/* Softmax of each pixel over planes, in place: planes[k][x] = exp(planes[k][x]) / sum over k. [dgan-kpn] eq. 1. stride:
+ * floats between planes. */
+typedef void ql_softmax_row_fn(float *planes, size_t stride, uint32_t num_planes, uint32_t num_pixels);
+
+/* Kernels of any size applied, [dgan-kpn] eq. 2: out[c][x] = sum_k weights[k][x] * in[c][y + dy][x + dx], k running over
+ * (2 radius + 1)^2 taps row by row. in[c] points at (x, y) of channel c, of which radius pixels on every side are
+ * readable. */
+typedef struct ql_gather_row {
+    const float *weights;
+    size_t weights_stride; /* floats between taps */
+    const float *const *in;
+    ptrdiff_t in_stride;
+    float *const *out;
+    uint32_t radius, num_channels, num_pixels;
+} ql_gather_row;
+typedef void ql_gather_row_fn(const ql_gather_row *gather);
+
+/* Adds to sums[c] and squares[c] the sum and the sum of squares of in[x][c]. */
+typedef void ql_moments_row_fn(const float *in, uint32_t num_channels, uint32_t num_pixels, double *sums,
+                               double *squares);
+
+/* out[x][c] = max(0, in[x][c] * scale[c] + shift[c]) + add[x][c]. num_channels is a multiple of QL_BLOCK; add may be
+ * NULL; out may be in or add. */
+typedef struct ql_norm_row {
+    const float *in, *scale, *shift, *add;
+    float *out;
+    uint32_t num_channels, num_pixels;
+} ql_norm_row;
+typedef void ql_norm_row_fn(const ql_norm_row *norm);
+
+/* out[x] = scale * (exp(min(max(in[x], 0), top)) - 1): the inverse of a logarithm. in may be out. */
+typedef void ql_expm1_row_fn(const float *in, float top, float scale, float *out, uint32_t num_pixels);
+
 /* Channels to planes: out[k][x * group + j] = in[x][k * group + j], group 1 or 2, k < num_planes. in_stride: floats
  * between pixels; out_stride: floats between planes. */
 typedef void ql_planes_row_fn(const float *in, size_t in_stride, uint32_t num_planes, uint32_t group, float *out,
@@ -86,12 +120,18 @@ typedef struct ql_kernels {
     ql_sigmoid_row_fn *sigmoid_row;
     ql_tone_row_fn *tone_row;
     ql_planes_row_fn *planes_row;
+    ql_softmax_row_fn *softmax_row;
+    ql_gather_row_fn *gather_row;
+    ql_moments_row_fn *moments_row;
+    ql_norm_row_fn *norm_row;
+    ql_expm1_row_fn *expm1_row;
 } ql_kernels;
 
 void ql_kernels_init(ql_kernels *kernels, uint32_t cpu); /* cpu: QL_CPU_* bits that may be used */
 
 /* Each fills its own slots; the table keeps the slower version where an instruction set has none. */
 void ql_kernels_init_c(ql_kernels *kernels);
+void ql_kernels_init_wide_c(ql_kernels *kernels); /* the part of DGAN-KPN; the one above calls it */
 void ql_kernels_init_avx2(ql_kernels *kernels);
 void ql_kernels_init_avx512(ql_kernels *kernels);
 void ql_kernels_init_neon(ql_kernels *kernels);

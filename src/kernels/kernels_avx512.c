@@ -69,8 +69,10 @@ static inline void v_deinterleave(const float *p, size_t n, vf *even, vf *odd)
 }
 
 #include "kernels/simd_tmpl.h"
+#include "kernels/wide_tmpl.h"
 
 void ql_kernels_init_avx512(ql_kernels *kernels)
 {
     fill_table(kernels, "avx512");
+    fill_wide(kernels);
 }

@@ -42,8 +42,7 @@ float *ql_map_row(const ql_map *map, int64_t y)
     return map->data + ((size_t)(y + 1) * (map->width + 2) + 1) * map->channels;
 }
 
-/* [k][out] of the file to [out / 16][k][16], with zeros for the padding. */
-static void pack(ql_conv *conv, const float *file, uint32_t file_out, const uint32_t *order, uint32_t num)
+void ql_conv_pack(ql_conv *conv, const float *file, uint32_t file_out, const uint32_t *order, uint32_t num)
 {
     const size_t num_k = (size_t)conv->size * conv->size * conv->num_in;
     memset(conv->weights, 0, num_k * conv->num_out * sizeof *conv->weights);
@@ -73,7 +72,7 @@ quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *
     }
     snprintf(key, sizeof key, "%s.weight", name);
     QL_TRY_GOTO(ql_weights_get_floats(weights, key, file, num_file, err));
-    pack(conv, file, num_out, order, num);
+    ql_conv_pack(conv, file, num_out, order, num);
     snprintf(key, sizeof key, "%s.bias", name);
     QL_TRY_GOTO(ql_weights_get_floats(weights, key, file, num_out, err));
     for (uint32_t c = 0; c < num; ++c) conv->bias[c] = file[order ? order[c] : c];

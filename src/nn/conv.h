@@ -20,7 +20,7 @@ float *ql_map_row(const ql_map *map, int64_t y); /* pixel (0, y); y from -1 to h
 size_t ql_map_bytes(uint32_t width, uint32_t height, uint32_t channels);
 
 typedef struct ql_conv {
-    uint32_t size;            /* 3: 3x3, stride 1; 2: 2x2, stride 2; 1: 1x1 */
+    uint32_t size;            /* 5: 5x5, 3: 3x3, 1: 1x1, all stride 1; 2: 2x2, stride 2 */
     uint32_t num_in, num_out; /* num_out is padded to QL_BLOCK */
     float *weights, *bias;    /* packed for ql_conv_row */
 } ql_conv;
@@ -31,6 +31,10 @@ quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *
                           uint32_t num_out, const uint32_t *order, uint32_t num_order, ql_memory *memory,
                           ql_error *err);
 void ql_conv_free(ql_conv *conv, ql_memory *memory);
+
+/* Fills conv->weights from [k][file_out] in the file's order to [out / 16][k][16], with zeros for the padding. order, if
+ * not NULL, picks num of the output channels. */
+void ql_conv_pack(ql_conv *conv, const float *file, uint32_t file_out, const uint32_t *order, uint32_t num);
 
 /* One row of a 3x3 or 1x1 convolution at row y, pixels x .. x + num - 1, into out [num][num_out]. */
 void ql_conv_apply_row(const ql_conv *conv, const ql_kernels *kernels, const ql_map *in, uint32_t x, uint32_t y,

@@ -99,7 +99,7 @@ static void expect(const char *what, const char *isa, const float *got, const fl
 static void test_conv(const ql_kernels *c, const ql_kernels *k)
 {
     static const uint32_t channels[] = {1, 3, 16, 28, 48};
-    const uint32_t num_rows = 1 + random_below(3), in = channels[random_below(5)], num_pixels = 1 + random_below(40);
+    const uint32_t num_rows = 1 + random_below(QL_MAX_CONV_ROWS), in = channels[random_below(5)], num_pixels = 1 + random_below(40);
     const uint32_t num_out = QL_BLOCK * (1 + random_below(6)), num_k = num_rows * in;
     const uint32_t stride = num_rows == 2 ? num_k : in;
     const size_t row = (size_t)(num_pixels - 1) * stride + num_k, num = (size_t)num_pixels * num_out;
@@ -267,6 +267,101 @@ static void test_rows(const ql_kernels *c, const ql_kernels *k)
     }
 }
 
+static void test_softmax(const ql_kernels *c, const ql_kernels *k)
+{
+    const uint32_t width = 1 + random_below(50), planes = 1 + random_below(400);
+    const size_t stride = width + random_below(5), num = (size_t)(planes - 1) * stride + width;
+    float *const a = guarded(num), *const b = guarded(num), *const one = guarded(num);
+    fill(a, num, 0);
+    for (size_t i = 0; i < num; ++i) {
+        a[i] *= 30.0f;
+        one[i] = 1.0f;
+    }
+    if (random_below(2)) a[random_below((uint32_t)num)] = -1e30f; /* a tap that is dropped */
+    memcpy(b, a, num * sizeof *a);
+    k->softmax_row(a, stride, planes, width);
+    c->softmax_row(b, stride, planes, width);
+    expect("softmax_row", k->name, a, b, one, num, 2e-6);
+    for (uint32_t x = 0; x < width; ++x) {
+        double sum = 0.0;
+        for (uint32_t p = 0; p < planes; ++p) sum += (double)a[p * stride + x];
+        ++num_checks;
+        if (fabs(sum - 1.0) < 1e-5) continue;
+        ++num_failures;
+        printf("%s softmax_row: weights sum to %.9g\n", k->name, sum);
+    }
+}
+
+static void test_gather(const ql_kernels *c, const ql_kernels *k)
+{
+    enum { CHANNELS = 4 };
+    const uint32_t radius = random_below(11), taps = (2 * radius + 1) * (2 * radius + 1);
+    const uint32_t width = 1 + random_below(50), channels = 1 + random_below(CHANNELS);
+    float *const weights = guarded((size_t)taps * width), *const scale = guarded(width);
+    const float *in[CHANNELS];
+    float *a[CHANNELS], *b[CHANNELS];
+    fill(weights, (size_t)taps * width, 0);
+    for (size_t i = 0; i < (size_t)taps * width; ++i) weights[i] = fabsf(weights[i]) / (float)taps;
+    const int kind = (int)random_below(3);
+    for (uint32_t i = 0; i < channels; ++i) {
+        in[i] = plane(width, 1, radius, kind);
+        a[i] = guarded(width);
+        b[i] = guarded(width);
+    }
+    const ptrdiff_t stride = (ptrdiff_t)(width + 2 * radius);
+    ql_gather_row gather = {weights, width, in, stride, a, radius, channels, width};
+    k->gather_row(&gather);
+    gather.out = b;
+    c->gather_row(&gather);
+    for (uint32_t i = 0; i < channels; ++i) {
+        largest(in[i], stride, width, 1, radius, scale, width);
+        expect("gather_row", k->name, a[i], b[i], scale, width, 4e-6);
+    }
+}
+
+static void test_norm(const ql_kernels *c, const ql_kernels *k)
+{
+    const uint32_t channels = QL_BLOCK * (1 + random_below(5)), width = 1 + random_below(30);
+    const size_t num = (size_t)channels * width;
+    float *const in = guarded(num), *const add = guarded(num), *const a = guarded(num), *const b = guarded(num);
+    float *const scale = guarded(channels), *const shift = guarded(channels), *const bound = guarded(num);
+    const int kind = (int)random_below(2);
+    fill(in, num, kind);
+    fill(add, num, kind);
+    fill(scale, channels, 0);
+    fill(shift, channels, 0);
+    for (size_t i = 0; i < num; ++i) bound[i] = fabsf(in[i]) + 1.0f + fabsf(add[i]);
+    ql_norm_row norm = {in, scale, shift, random_below(2) ? add : NULL, a, channels, width};
+    k->norm_row(&norm);
+    norm.out = b;
+    c->norm_row(&norm);
+    expect("norm_row", k->name, a, b, bound, num, 4e-7);
+
+    double sums[4][QL_BLOCK * 5] = {{0.0}};
+    k->moments_row(in, channels, width, sums[0], sums[1]);
+    c->moments_row(in, channels, width, sums[2], sums[3]);
+    ++num_checks;
+    if (memcmp(sums[0], sums[2], 2 * sizeof sums[0]) != 0) {
+        ++num_failures;
+        printf("%s moments_row: %u channels over %u pixels differ\n", k->name, channels, width);
+    }
+}
+
+static void test_expm1(const ql_kernels *c, const ql_kernels *k)
+{
+    const uint32_t width = 1 + random_below(50);
+    float *const in = guarded(width), *const a = guarded(width), *const b = guarded(width), *const bound = guarded(width);
+    fill(in, width, 0);
+    for (uint32_t x = 0; x < width; ++x) in[x] *= 12.0f;
+    const float top = random_float(0.5f, 10.0f), scale = exp2f((float)random_below(20) - 10.0f);
+    k->expm1_row(in, top, scale, a, width);
+    c->expm1_row(in, top, scale, b, width);
+    for (uint32_t x = 0; x < width; ++x) bound[x] = scale * expf(top);
+    expect("expm1_row", k->name, a, b, bound, width, 4e-7);
+    for (uint32_t x = 0; x < width; ++x) b[x] = scale * (float)expm1((double)fminf(fmaxf(in[x], 0.0f), top));
+    expect("expm1_row against libm", k->name, a, b, bound, width, 4e-7);
+}
+
 /* A value must not depend on where in a row it stands: tiles would show. Compares a row with its tail computed alone. */
 static void test_position(const ql_kernels *k)
 {
@@ -346,6 +441,14 @@ int main(int argc, char **argv)
             test_partition(&c, &k);
             release_all();
             test_rows(&c, &k);
+            release_all();
+            test_softmax(&c, &k);
+            release_all();
+            test_gather(&c, &k);
+            release_all();
+            test_norm(&c, &k);
+            release_all();
+            test_expm1(&c, &k);
             release_all();
             test_position(&k);
             release_all();

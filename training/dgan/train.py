@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from training.data.pack import prefetch
 from training.dgan.config import DganKpnConfig, LossFactors, from_json
-from training.dgan.data import Batch, DataConfig, batches, load_frames
+from training.dgan.data import Batch, DataConfig, Frame, batches, load_frames
 from training.dgan.discriminator import Discriminators
 from training.dgan.kpcn import Kpcn, KpcnConfig, kpcn_loss
 from training.dgan.losses import adversarial_loss, kernel_loss, tone_loss, total_loss
@@ -177,11 +177,10 @@ def start_from(trainer: Trainer, names: list[str]) -> None:
     trainer.discriminators.load_state_dict(generator["discriminators"])
 
 
-def train(name: str, config: TrainConfig, origin: list[str], minutes: float) -> None:
+def train(name: str, config: TrainConfig, origin: list[str], minutes: float, frames: list[Frame]) -> None:
     """Trains until config.steps or for the given minutes, whichever comes first."""
     folder = run_folder(name)
     folder.mkdir(parents=True, exist_ok=True)
-    frames = load_frames("train")
     if not frames:
         raise SystemExit("no packed training frames: render and pack some first (training/README.md)")
     trainer = Trainer(config)
@@ -231,7 +230,7 @@ def main() -> None:
     if args.factors:
         given["factors"] = LossFactors(*map(float, args.factors.split(",")))
     config = dataclasses.replace(config, stage=args.stage, **{k: v for k, v in given.items() if v is not None})
-    train(args.run, config, [name for name in args.origin.split(",") if name], args.minutes)
+    train(args.run, config, [name for name in args.origin.split(",") if name], args.minutes, load_frames("train"))
 
 
 if __name__ == "__main__":
