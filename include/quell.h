@@ -317,14 +317,43 @@ QUELL_API QUELL_NODISCARD quell_status quell_frame_write_exr(quell_context *ctx,
  * nothing else of the library. */
 typedef int32_t (*quell_progress_fn)(void *user, double fraction);
 
+/* Advanced settings of models of the kind DGAN-KPN; the defaults are the published ones. */
+typedef struct quell_dgan_options {
+    uint32_t struct_size;
+    int32_t parts;       /* QUELL_DGAN_* */
+    int32_t iterate;     /* QUELL_ITERATE_* */
+    uint32_t iterations; /* 1 to 8; 0: 4. With QUELL_DGAN_GENERATOR they count in QUELL_ITERATE_NETWORK alone. */
+    uint32_t flags;      /* QUELL_DGAN_RUN_ALL */
+    uint32_t reserved0;  /* zero */
+} quell_dgan_options;
+
+enum {
+    QUELL_DGAN_BOTH = 0,      /* generator, then kernels on its result */
+    QUELL_DGAN_GENERATOR = 1, /* the generator alone */
+    QUELL_DGAN_KERNELS = 2    /* kernels on the noisy image */
+};
+
+enum {
+    QUELL_ITERATE_FILTER = 0, /* the kernels are applied to their own result */
+    QUELL_ITERATE_NETWORK = 1 /* the result goes through generator and kernels again */
+};
+
+enum {
+    QUELL_DGAN_RUN_ALL =
+        1 /* run all iterations of QUELL_ITERATE_NETWORK, also those that would change nothing visible */
+};
+
 typedef struct quell_options {
     uint32_t struct_size;
-    uint32_t flags;     /* QUELL_DENOISE_* */
-    const char *layers; /* NULL or "all": every light pass; "beauty": Combined alone; else names, comma-separated */
-    uint32_t tile_size; /* edge in pixels, rounded up to a multiple of 32; 0: chosen from max_memory_bytes */
-    uint32_t reserved0; /* zero */
+    uint32_t flags; /* QUELL_DENOISE_* */
+    const char
+        *layers; /* "all": every light pass; "beauty": Combined alone; else names, comma-separated. NULL: all, with
+                           DGAN-KPN models Combined alone */
+    uint32_t tile_size;         /* edge in pixels, rounded up to a multiple of 32; 0: chosen from max_memory_bytes */
+    uint32_t reserved0;         /* zero */
     quell_progress_fn progress; /* NULL: none */
     void *progress_user;
+    const quell_dgan_options *dgan; /* NULL: defaults; with a model of another kind QUELL_ERR_INVALID_ARGUMENT */
 } quell_options;
 
 enum {
@@ -385,6 +414,8 @@ typedef struct quell_report_summary {
     double seconds_decode;    /* reading the frame's file; 0 for a frame from memory */
     double seconds_analyse;   /* looking at the layers, and the plan */
     double seconds_recombine; /* putting Combined together from its parts */
+    uint32_t iterations;      /* that DGAN-KPN ran; 0 with other models, and from quell_plan */
+    uint32_t reserved0;
 } quell_report_summary;
 
 /* NULL is allowed. Since: 0.1 */

@@ -22,7 +22,7 @@ ARROWS: dict[str, tuple[str, ...]] = {
     "filter": ("kernels", "frame"),
     "plan": ("frame",),
     "metrics": ("frame", "kernels"),
-    "denoise": ("plan", "models", "filter"),
+    "denoise": ("plan", "models", "filter", "metrics"),
     "api": ("denoise", "plan", "exr", "metrics", "frame"),
     "cli": (),  # quell.h alone
 }

@@ -7,17 +7,24 @@
 #include "api/structs.h"
 
 #define OPTIONS_V1 QL_STRUCT_V1(quell_options, progress_user)
+#define DGAN_OPTIONS_V1 QL_STRUCT_V1(quell_dgan_options, reserved0)
 #define REPORT_LAYER_V1 QL_STRUCT_V1(quell_report_layer, mean_after)
 #define REPORT_SUMMARY_V1 QL_STRUCT_V1(quell_report_summary, model_name)
 #define KNOWN_FLAGS ((uint32_t)QUELL_DENOISE_KEEP_NOISY)
 
-static quell_status read_options(const quell_options *given, quell_options *options, ql_error *err)
+/* dgan: receives the settings that given points to, and options then points to it. */
+static quell_status read_options(const quell_options *given, quell_options *options, quell_dgan_options *dgan,
+                                 ql_error *err)
 {
     QL_TRY(ql_struct_read(options, sizeof *options, OPTIONS_V1, given, "quell_options", err));
     if (options->reserved0 != 0) return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_options.reserved0 must be 0");
     if (options->flags & ~KNOWN_FLAGS) {
         return ql_fail(err, QUELL_ERR_UNSUPPORTED, "quell_options.flags has bits that this version does not know: %#x",
                        options->flags & ~KNOWN_FLAGS);
+    }
+    if (options->dgan) {
+        QL_TRY(ql_struct_read(dgan, sizeof *dgan, DGAN_OPTIONS_V1, options->dgan, "quell_dgan_options", err));
+        options->dgan = dgan;
     }
     return QUELL_OK;
 }
@@ -47,9 +54,10 @@ static quell_status run(ql_call *call, const ql_model *model, ql_frame *frame, c
                         quell_report **out_report)
 {
     quell_options options;
+    quell_dgan_options dgan;
     if (!model || !frame) return ql_fail(call->err, QUELL_ERR_INVALID_ARGUMENT, "model or frame is NULL");
     if (dry && !out_report) return ql_fail(call->err, QUELL_ERR_INVALID_ARGUMENT, "out_report is NULL");
-    QL_TRY(read_options(given, &options, call->err));
+    QL_TRY(read_options(given, &options, &dgan, call->err));
     if (!dry) {
         call->env.progress = options.progress;
         call->env.progress_user = options.progress_user;

@@ -35,9 +35,29 @@ static const char help_text[] =
     "  -q, --quiet           no progress and no summary; errors only\n"
     "  -h, --help\n"
     "\n"
+    "Advanced, with models of the kind DGAN-KPN alone; Combined is then the default of --layers:\n"
+    "      --dgan-only           the generator alone\n"
+    "      --kpn-only            the predicted kernels on the noisy image\n"
+    "      --iterations N        1 to 8; default 4\n"
+    "      --iterate HOW         filter (default): the kernels again; network: generator and kernels again, until "
+    "that\n"
+    "                            changes nothing visible\n"
+    "      --run-all-iterations  with --iterate network: also those\n"
+    "\n"
     "Exit codes: see quell --help. With several inputs the others are still denoised when one fails.\n";
 
-enum { OPT_OVERWRITE = CLI_OPT_OWN, OPT_KEEP_NOISY, OPT_CODEC, OPT_REPORT, OPT_TILE };
+enum {
+    OPT_OVERWRITE = CLI_OPT_OWN,
+    OPT_KEEP_NOISY,
+    OPT_CODEC,
+    OPT_REPORT,
+    OPT_TILE,
+    OPT_DGAN_ONLY,
+    OPT_KPN_ONLY,
+    OPT_ITERATIONS,
+    OPT_ITERATE,
+    OPT_RUN_ALL
+};
 
 typedef struct denoise_args {
     cli_common common;
@@ -45,6 +65,8 @@ typedef struct denoise_args {
     int is_overwriting, keeps_noisy;
     int32_t codec;
     uint32_t tile_size;
+    quell_dgan_options dgan;
+    int has_dgan_options;
     char **inputs;
     char **outputs; /* [num_inputs] */
     int num_inputs;
@@ -62,6 +84,34 @@ static int parse_codec(const char *text, int32_t *out)
         return 0;
     }
     return -1;
+}
+
+static int choose_parts(denoise_args *args, int32_t parts)
+{
+    if (args->dgan.parts != QUELL_DGAN_BOTH && args->dgan.parts != parts)
+        return cli_usage_error("denoise", "--dgan-only and --kpn-only exclude each other");
+    args->dgan.parts = parts;
+    return 0;
+}
+
+static int dgan_option(denoise_args *args, int code, const char *argument)
+{
+    uint64_t value;
+    args->has_dgan_options = 1;
+    switch (code) {
+    case OPT_DGAN_ONLY: return choose_parts(args, QUELL_DGAN_GENERATOR);
+    case OPT_KPN_ONLY: return choose_parts(args, QUELL_DGAN_KERNELS);
+    case OPT_RUN_ALL: args->dgan.flags |= QUELL_DGAN_RUN_ALL; return 0;
+    case OPT_ITERATIONS:
+        if (cli_parse_uint(argument, 8, &value) != 0 || value == 0)
+            return cli_usage_error("denoise", "--iterations: '%s' is not a number from 1 to 8", argument);
+        args->dgan.iterations = (uint32_t)value;
+        return 0;
+    default:
+        args->dgan.iterate = strcmp(argument, "network") == 0 ? QUELL_ITERATE_NETWORK : QUELL_ITERATE_FILTER;
+        if (args->dgan.iterate == QUELL_ITERATE_NETWORK || strcmp(argument, "filter") == 0) return 0;
+        return cli_usage_error("denoise", "--iterate: '%s' is neither filter nor network", argument);
+    }
 }
 
 static int own_option(denoise_args *args, int code, const char *argument)
@@ -82,6 +132,11 @@ static int own_option(denoise_args *args, int code, const char *argument)
         }
         args->tile_size = (uint32_t)value;
         return 0;
+    case OPT_DGAN_ONLY:
+    case OPT_KPN_ONLY:
+    case OPT_ITERATIONS:
+    case OPT_ITERATE:
+    case OPT_RUN_ALL: return dgan_option(args, code, argument);
     case 'm': return cli_common_option(&args->common, "denoise", CLI_OPT_MODEL, argument);
     case 'q': return cli_common_option(&args->common, "denoise", CLI_OPT_QUIET, argument);
     default: return cli_common_option(&args->common, "denoise", code, argument);
@@ -101,6 +156,11 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         {"codec", required_argument, NULL, OPT_CODEC},
         {"report", required_argument, NULL, OPT_REPORT},
         {"tile", required_argument, NULL, OPT_TILE},
+        {"dgan-only", no_argument, NULL, OPT_DGAN_ONLY},
+        {"kpn-only", no_argument, NULL, OPT_KPN_ONLY},
+        {"iterations", required_argument, NULL, OPT_ITERATIONS},
+        {"iterate", required_argument, NULL, OPT_ITERATE},
+        {"run-all-iterations", no_argument, NULL, OPT_RUN_ALL},
         {NULL, 0, NULL, 0},
     };
     int code;
@@ -202,6 +262,9 @@ static quell_status denoise_frame(quell_context *ctx, const quell_model *model, 
     options.flags = args->keeps_noisy ? QUELL_DENOISE_KEEP_NOISY : 0u;
     options.layers = args->layers;
     options.tile_size = args->tile_size;
+    quell_dgan_options dgan = args->dgan;
+    dgan.struct_size = sizeof dgan;
+    if (args->has_dgan_options) options.dgan = &dgan;
     options.progress = cli_progress_update;
     options.progress_user = progress;
     return quell_denoise(ctx, model, frame, &options, report);

@@ -3,9 +3,11 @@
 #include "denoise/denoise.h"
 
 #include "base/clock.h"
+#include "denoise/dgan.h"
 #include "denoise/region.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -19,6 +21,8 @@ typedef struct work {
     float **results;
     double *means; /* of the results */
     ql_job job;
+    const ql_dgan *dgan; /* NULL: a model of the quell family */
+    ql_dgan_job dgan_job;
     uint32_t tile_width, tile_height, num_tiles, halo;
     uint64_t planned_bytes;
     double seconds_analyse;
@@ -58,6 +62,8 @@ static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
         if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) flags = 0;
         if ((int32_t)i == set->beauty) flags |= QL_SCAN_BINS;
         if ((int32_t)i == depth) flags |= QL_SCAN_BINS | QL_SCAN_DEPTH;
+        /* Fireflies are the generator's business, and each layer has an exposure of its own. */
+        if (w->dgan) flags = (flags & ~(uint32_t)QL_SCAN_LIMIT) | QL_SCAN_BINS;
         const int by_emission = set->has_light && emission != QL_PLAN_NONE && (int32_t)i == set->beauty;
         QL_TRY(ql_scan_layer(w->env, layer, by_emission ? &w->frame->layers[emission] : NULL, num_colors(layer),
                              w->frame->width, w->frame->height, flags, &w->scans[i], err));
@@ -154,10 +160,13 @@ static quell_status look(work *w, ql_error *err)
     for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = scan_set(w, s, err);
     if (status == QUELL_OK) {
         for (uint32_t i = 0; i < w->frame->num_layers; ++i)
-            facts[i] = (ql_layer_facts){w->scans[i].is_zero, w->scans[i].is_constant && w->scans[i].is_constant_alpha};
+            /* What a generator paints is its own affair, of a constant image too. */
+            facts[i] = (ql_layer_facts){w->scans[i].is_zero,
+                                        w->dgan == NULL && w->scans[i].is_constant && w->scans[i].is_constant_alpha};
         ql_plan_skip(&w->plan, facts);
     }
-    for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = choose_combined(w, s, err);
+    if (w->dgan == NULL) /* which filters Combined as one image */
+        for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = choose_combined(w, s, err);
     ql_free(w->env->memory, facts);
     return status;
 }
@@ -208,6 +217,21 @@ static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memor
     w->tile_width = tw;
     w->tile_height = th;
     w->num_tiles = ((w->frame->width + tw - 1) / tw) * ((w->frame->height + th - 1) / th);
+    return QUELL_OK;
+}
+
+/* DGAN-KPN: bands as wide as the image for the kernels; the generator needs the whole image. */
+static quell_status choose_bands(work *w, const ql_kernels *kernels, const quell_options *options,
+                                 uint64_t max_memory_bytes, ql_error *err)
+{
+    w->dgan_job =
+        (ql_dgan_job){.kernels = kernels, .net = w->dgan, .frame = w->frame, .plan = &w->plan, .scans = w->scans};
+    QL_TRY(ql_dgan_options_read(options->dgan, &w->dgan_job.options, err));
+    QL_TRY(ql_dgan_choose_bands(&w->dgan_job, w->env, options->tile_size, max_memory_bytes, &w->planned_bytes, err));
+    w->tile_width = w->frame->width;
+    w->tile_height = w->dgan_job.band_rows < w->frame->height ? w->dgan_job.band_rows : w->frame->height;
+    w->num_tiles = (w->frame->height + w->tile_height - 1) / w->tile_height;
+    w->halo = ql_kpn_reach(&w->dgan->kpn);
     return QUELL_OK;
 }
 
@@ -349,7 +373,45 @@ static quell_status run(work *w, ql_error *err)
     return measure_means(w, err);
 }
 
+/* What DGAN-KPN lacks is said twice: which passes in the log, and with each layer that they are fewer. */
+static void report_missing(work *w, uint32_t set_index)
+{
+    char missing[128], message[192];
+    ql_dgan_missing_passes(&w->plan.sets[set_index], missing, sizeof missing);
+    if (missing[0] == '\0') return;
+    for (uint32_t i = 0; i < w->plan.num_layers; ++i)
+        if (w->plan.layers[i].set == (int32_t)set_index && w->plan.layers[i].action == QUELL_ACTION_DENOISED)
+            w->plan.layers[i].reason = "without all auxiliary passes";
+    snprintf(message, sizeof message, "auxiliary passes of DGAN-KPN that the frame lacks: %s", missing);
+    if (w->env->log) w->env->log(w->env->log_user, QUELL_LOG_INFO, message);
+}
+
+static quell_status run_dgan(work *w, ql_error *err)
+{
+    QL_TRY(start_results(w, err));
+    w->dgan_job.results = w->results;
+    for (uint32_t s = 0; s < w->plan.num_sets; ++s) {
+        if (!set_has_work(w, s)) continue;
+        report_missing(w, s);
+        w->env->progress_from = 0.05 + 0.95 * s / w->plan.num_sets;
+        w->env->progress_to = 0.05 + 0.95 * (s + 1) / w->plan.num_sets;
+        QL_TRY(ql_dgan_run_set(&w->dgan_job, w->env, s, err));
+    }
+    w->env->progress_from = w->env->progress_to = 1.0;
+    w->job.seconds_network = w->dgan_job.seconds_network;
+    w->job.seconds_filter = w->dgan_job.seconds_filter;
+    return measure_means(w, err);
+}
+
 /* ---- Report ------------------------------------------------------------------------------------------------------- */
+
+/* Of one layer, each network that runs counted once. */
+static double dgan_macs(const work *w)
+{
+    const int32_t parts = w->dgan_job.options.parts;
+    return (parts == QUELL_DGAN_KERNELS ? 0.0 : ql_generator_macs_per_pixel(&w->dgan->generator)) +
+           (parts == QUELL_DGAN_GENERATOR ? 0.0 : ql_kpn_macs_per_pixel(&w->dgan->kpn));
+}
 
 static quell_status make_report(const work *w, const ql_model *model, double seconds, int dry, ql_report **out,
                                 ql_error *err)
@@ -401,7 +463,8 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     summary->num_tiles = w->num_tiles;
     summary->halo = w->num_tiles > 1 ? w->halo : 0;
     summary->peak_bytes = dry ? w->planned_bytes : atomic_load(&w->env->memory->peak_bytes);
-    summary->macs_per_pixel = ql_net_macs_per_pixel(w->job.net, num_groups, (int32_t)has_light);
+    summary->macs_per_pixel =
+        w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, num_groups, (int32_t)has_light);
     summary->combined = ql_plan_combined_name(combined);
     summary->model_name = report->model_name;
     if (!dry) {
@@ -412,6 +475,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         summary->seconds_decode = w->frame->seconds_decode;
         summary->seconds_analyse = w->seconds_analyse;
         summary->seconds_recombine = w->job.seconds_recombine;
+        summary->iterations = w->dgan_job.iterations_run;
     }
     *out = report;
     return QUELL_OK;
@@ -422,19 +486,27 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
                               ql_error *err)
 {
     const double start = ql_clock_seconds();
-    work w = {.env = env, .frame = frame};
+    work w = {.env = env, .frame = frame, .dgan = ql_model_dgan(model)};
+    const char *const by_default = w.dgan ? "beauty" : NULL;
     *report = NULL;
+    if (w.dgan == NULL && options->dgan)
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT,
+                       "settings of DGAN-KPN are given with a model that is none; choose 'dgan-kpn' or leave them out");
     env->progress_from = 0.0;
     env->progress_to = 0.05;
-    quell_status status = ql_plan_create(frame, options->layers, env->memory, &w.plan, err);
+    quell_status status = ql_plan_create(frame, options->layers && options->layers[0] ? options->layers : by_default,
+                                         env->memory, &w.plan, err);
     if (status == QUELL_OK) status = look(&w, err);
     w.seconds_analyse = ql_clock_seconds() - start;
-    if (status == QUELL_OK) {
+    if (status == QUELL_OK && w.dgan) {
+        status = choose_bands(&w, kernels, options, max_memory_bytes, err);
+        if (status == QUELL_OK && !dry) status = run_dgan(&w, err);
+    } else if (status == QUELL_OK) {
         w.job =
             (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
         status = choose_tiles(&w, options->tile_size, max_memory_bytes, err);
+        if (status == QUELL_OK && !dry) status = run(&w, err);
     }
-    if (status == QUELL_OK && !dry) status = run(&w, err);
     if (status == QUELL_OK) status = make_report(&w, model, ql_clock_seconds() - start, dry, report, err);
     for (uint32_t i = 0; i < frame->num_layers; ++i) {
         if (w.scans) ql_scan_free(&w.scans[i], env->memory);

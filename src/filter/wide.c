@@ -27,8 +27,8 @@ uint64_t ql_wide_planes_bytes(uint32_t width, uint32_t height, uint32_t num)
 quell_status ql_wide_planes_create(ql_wide_planes *planes, uint32_t width, uint32_t height, uint32_t num,
                                    ql_memory *memory, ql_error *err)
 {
-    *planes = (ql_wide_planes){ql_alloc_zero(memory, plane_floats(width, height), num * sizeof(float)), width, height,
-                               num};
+    *planes =
+        (ql_wide_planes){ql_alloc_zero(memory, plane_floats(width, height), num * sizeof(float)), width, height, num};
     if (planes->data == NULL)
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: %u planes of %ux%u", num, width, height);
     return QUELL_OK;

@@ -94,10 +94,10 @@ typedef void ql_gather_row_fn(const ql_gather_row *gather);
 typedef void ql_moments_row_fn(const float *in, uint32_t num_channels, uint32_t num_pixels, double *sums,
                                double *squares);
 
-/* out[x][c] = max(0, in[x][c] * scale[c] + shift[c]) + add[x][c]. num_channels is a multiple of QL_BLOCK; add may be
+/* out[x][c] = max(0, (in[x][c] - mean[c]) * scale[c]) + add[x][c]. num_channels is a multiple of QL_BLOCK; add may be
  * NULL; out may be in or add. */
 typedef struct ql_norm_row {
-    const float *in, *scale, *shift, *add;
+    const float *in, *mean, *scale, *add;
     float *out;
     uint32_t num_channels, num_pixels;
 } ql_norm_row;

@@ -46,7 +46,7 @@ static void norm_row(const ql_norm_row *norm)
     for (size_t x = 0; x < norm->num_pixels; ++x) {
         for (size_t c = 0; c < norm->num_channels; ++c) {
             const size_t at = x * norm->num_channels + c;
-            const float value = norm->in[at] * norm->scale[c] + norm->shift[c];
+            const float value = (norm->in[at] - norm->mean[c]) * norm->scale[c];
             norm->out[at] = (value > 0.0f ? value : 0.0f) + (norm->add ? norm->add[at] : 0.0f);
         }
     }

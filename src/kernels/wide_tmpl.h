@@ -68,10 +68,10 @@ static void moments_row(const float *restrict in, uint32_t num_channels, uint32_
 static void norm_row(const ql_norm_row *norm)
 {
     for (size_t c = 0; c < norm->num_channels; c += QL_W) {
-        const vf scale = v_load(norm->scale + c), shift = v_load(norm->shift + c);
+        const vf mean = v_load(norm->mean + c), scale = v_load(norm->scale + c);
         for (size_t x = 0; x < norm->num_pixels; ++x) {
             const size_t at = x * norm->num_channels + c;
-            vf value = v_max(v_fma(v_load(norm->in + at), scale, shift), v_set1(0.0f));
+            vf value = v_max(v_mul(v_sub(v_load(norm->in + at), mean), scale), v_set1(0.0f));
             if (norm->add) value = v_add(value, v_load(norm->add + at));
             v_store(norm->out + at, value);
         }

@@ -9,6 +9,7 @@
 typedef struct ql_dgan {
     ql_generator generator;
     ql_kpn kpn;
+    uint64_t num_parameters; /* values of the file's weights */
 } ql_dgan;
 
 quell_status ql_dgan_load(ql_dgan *dgan, const ql_weights *weights, ql_memory *memory, ql_error *err);

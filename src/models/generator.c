@@ -239,8 +239,8 @@ static quell_status run_image(image_job *job, ql_env *env, maps *m, ql_error *er
 {
     QL_TRY(ql_map_create(&m->input, align_up(job->width), align_up(job->height), 3, env->memory, err));
     job->input = &m->input;
-    job->scratch = ql_alloc(env->memory, (size_t)ql_pool_num_threads(env->pool) * m->input.width,
-                            QL_BLOCK * sizeof *job->scratch);
+    job->scratch =
+        ql_alloc(env->memory, (size_t)ql_pool_num_threads(env->pool) * m->input.width, QL_BLOCK * sizeof *job->scratch);
     job->row_top = ql_alloc(env->memory, m->input.height, sizeof *job->row_top);
     if (job->scratch == NULL || job->row_top == NULL)
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of the generator");

@@ -11,11 +11,28 @@
 
 enum { MAX_FILE_BYTES = 1 << 28 };
 
+enum { FAMILY_QUELL, FAMILY_DGAN, NUM_FAMILIES };
+
 struct ql_model {
     ql_memory memory;
-    ql_net net;
+    int32_t family;
+    union {
+        ql_net net;
+        ql_dgan dgan;
+    };
     char name[64], description[256], sha256[65];
 };
+
+static quell_status load_network(ql_model *model, const char *kind, const ql_weights *weights, ql_error *err)
+{
+    static const char *const kinds[NUM_FAMILIES] = {"quell-1", "dgan-kpn-1"};
+    model->family = 0;
+    while (model->family < NUM_FAMILIES && strcmp(kind, kinds[model->family]) != 0) ++model->family;
+    if (model->family == FAMILY_QUELL) return ql_net_load(&model->net, weights, &model->memory, err);
+    if (model->family == FAMILY_DGAN) return ql_dgan_load(&model->dgan, weights, &model->memory, err);
+    return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: a network of kind '%s', which this version does not run",
+                   weights->origin, kind);
+}
 
 quell_status ql_model_open_memory(const void *data, size_t size_bytes, const char *origin, ql_model **out,
                                   ql_error *err)
@@ -32,11 +49,7 @@ quell_status ql_model_open_memory(const void *data, size_t size_bytes, const cha
         ql_weights_get_text(&weights, "meta.name", model->name, sizeof model->name);
         ql_weights_get_text(&weights, "meta.description", model->description, sizeof model->description);
         memcpy(model->sha256, weights.sha256, sizeof model->sha256);
-        if (strcmp(kind, "quell-1") != 0)
-            status = ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: a network of kind '%s', which this version does not run",
-                             origin, kind);
-        else
-            status = ql_net_load(&model->net, &weights, &model->memory, err);
+        status = load_network(model, kind, &weights, err);
         ql_weights_close(&weights, &model->memory);
     }
     if (status != QUELL_OK) {
@@ -97,7 +110,10 @@ quell_status ql_model_open(const char *name_or_path, ql_model **out, ql_error *e
 void ql_model_destroy(ql_model *model)
 {
     if (model == NULL) return;
-    ql_net_free(&model->net, &model->memory);
+    if (model->family == FAMILY_DGAN)
+        ql_dgan_free(&model->dgan, &model->memory);
+    else
+        ql_net_free(&model->net, &model->memory);
     free(model);
 }
 
@@ -109,6 +125,13 @@ void ql_model_get_info(const ql_model *model, quell_model_info *info)
     info->name = model->name;
     info->description = model->description;
     info->sha256 = model->sha256;
+    if (model->family == FAMILY_DGAN) {
+        const double generator = ql_generator_macs_per_pixel(&model->dgan.generator);
+        info->macs_per_pixel = generator + ql_kpn_macs_per_pixel(&model->dgan.kpn);
+        info->macs_per_pixel_all = info->macs_per_pixel;
+        info->num_parameters = model->dgan.num_parameters;
+        return;
+    }
     info->num_parameters = model->net.num_parameters;
     info->macs_per_pixel = ql_net_macs_per_pixel(&model->net, 1, 0);
     info->macs_per_pixel_all = ql_net_macs_per_pixel(&model->net, QL_NET_GROUPS, 1);
@@ -122,5 +145,10 @@ const char *ql_model_builtin_name(uint32_t index)
 
 const ql_net *ql_model_net(const ql_model *model)
 {
-    return &model->net;
+    return model->family == FAMILY_QUELL ? &model->net : NULL;
+}
+
+const ql_dgan *ql_model_dgan(const ql_model *model)
+{
+    return model->family == FAMILY_DGAN ? &model->dgan : NULL;
 }

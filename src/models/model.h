@@ -5,6 +5,7 @@
 
 #include "base/memory.h"
 #include "base/status.h"
+#include "models/dgan.h"
 #include "models/quell_net.h"
 
 #include <stddef.h>
@@ -18,6 +19,9 @@ quell_status ql_model_open_memory(const void *data, size_t size_bytes, const cha
 void ql_model_destroy(ql_model *model);
 void ql_model_get_info(const ql_model *model, quell_model_info *info); /* fills a full-size struct */
 const char *ql_model_builtin_name(uint32_t index);
+
+/* The network inside, by its family: NULL for a model of the other. */
 const ql_net *ql_model_net(const ql_model *model);
+const ql_dgan *ql_model_dgan(const ql_model *model);
 
 #endif

@@ -157,7 +157,7 @@ typedef struct norm_job {
     ql_map *map;
     const ql_map *add;
     double *moments; /* [height][2][channels] */
-    float *scale, *shift;
+    float *mean, *scale;
 } norm_job;
 
 static void moments_task(void *user, uint32_t task, uint32_t worker)
@@ -175,8 +175,8 @@ static void norm_task(void *user, uint32_t task, uint32_t worker)
     const norm_job *const job = user;
     const ql_norm_row row = {
         .in = ql_map_row(job->map, task),
+        .mean = job->mean,
         .scale = job->scale,
-        .shift = job->shift,
         .add = job->add ? ql_map_row(job->add, task) : NULL,
         .out = ql_map_row(job->map, task),
         .num_channels = job->map->channels,
@@ -197,9 +197,8 @@ static void join_moments(norm_job *job)
             squares += job->moments[2 * channels * y + channels + c];
         }
         const double mean = sum / count, variance = fmax(0.0, squares / count - mean * mean);
-        const double scale = 1.0 / sqrt(variance + NORM_EPSILON);
-        job->scale[c] = (float)scale;
-        job->shift[c] = (float)(-mean * scale);
+        job->mean[c] = (float)mean;
+        job->scale[c] = (float)(1.0 / sqrt(variance + NORM_EPSILON));
     }
 }
 
@@ -209,12 +208,12 @@ quell_status ql_instance_norm_relu(const ql_kernels *kernels, ql_env *env, ql_ma
     const size_t channels = map->channels;
     norm_job job = {.kernels = kernels, .map = map, .add = add};
     job.moments = ql_alloc(env->memory, (size_t)map->height * 2 * channels, sizeof *job.moments);
-    job.scale = ql_alloc(env->memory, 2 * channels, sizeof *job.scale);
+    job.mean = ql_alloc(env->memory, 2 * channels, sizeof *job.mean);
     quell_status status = QUELL_ERR_OUT_OF_MEMORY;
-    if (job.moments == NULL || job.scale == NULL) {
+    if (job.moments == NULL || job.mean == NULL) {
         ql_fail(err, status, "out of memory: statistics of %u channels", map->channels);
     } else {
-        job.shift = job.scale + channels;
+        job.scale = job.mean + channels;
         status = ql_env_run(env, map->height, moments_task, &job);
         if (status == QUELL_OK) {
             join_moments(&job);
@@ -222,6 +221,6 @@ quell_status ql_instance_norm_relu(const ql_kernels *kernels, ql_env *env, ql_ma
         }
     }
     ql_free(env->memory, job.moments);
-    ql_free(env->memory, job.scale);
+    ql_free(env->memory, job.mean);
     return status;
 }

@@ -61,13 +61,21 @@ static void structs_are_where_they_were(void **state)
     SIZE(quell_write_options, 8);
     AT(quell_write_options, codec, 4);
 
-    SIZE(quell_options, 40);
+    SIZE(quell_options, 48);
     AT(quell_options, flags, 4);
     AT(quell_options, layers, 8);
     AT(quell_options, tile_size, 16);
     AT(quell_options, reserved0, 20);
     AT(quell_options, progress, 24);
     AT(quell_options, progress_user, 32);
+    AT(quell_options, dgan, 40);
+
+    SIZE(quell_dgan_options, 24);
+    AT(quell_dgan_options, parts, 4);
+    AT(quell_dgan_options, iterate, 8);
+    AT(quell_dgan_options, iterations, 12);
+    AT(quell_dgan_options, flags, 16);
+    AT(quell_dgan_options, reserved0, 20);
 
     SIZE(quell_report_layer, 56);
     AT(quell_report_layer, action, 4);
@@ -78,7 +86,7 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_layer, mean_before, 40);
     AT(quell_report_layer, mean_after, 48);
 
-    SIZE(quell_report_summary, 112);
+    SIZE(quell_report_summary, 120);
     AT(quell_report_summary, num_layers, 4);
     AT(quell_report_summary, tile_width, 8);
     AT(quell_report_summary, tile_height, 12);
@@ -95,6 +103,8 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_summary, seconds_decode, 88);
     AT(quell_report_summary, seconds_analyse, 96);
     AT(quell_report_summary, seconds_recombine, 104);
+    AT(quell_report_summary, iterations, 112);
+    AT(quell_report_summary, reserved0, 116);
 
     SIZE(quell_metrics, 56);
     AT(quell_metrics, reserved0, 4);

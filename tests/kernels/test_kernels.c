@@ -99,7 +99,8 @@ static void expect(const char *what, const char *isa, const float *got, const fl
 static void test_conv(const ql_kernels *c, const ql_kernels *k)
 {
     static const uint32_t channels[] = {1, 3, 16, 28, 48};
-    const uint32_t num_rows = 1 + random_below(QL_MAX_CONV_ROWS), in = channels[random_below(5)], num_pixels = 1 + random_below(40);
+    const uint32_t num_rows = 1 + random_below(QL_MAX_CONV_ROWS), in = channels[random_below(5)],
+                   num_pixels = 1 + random_below(40);
     const uint32_t num_out = QL_BLOCK * (1 + random_below(6)), num_k = num_rows * in;
     const uint32_t stride = num_rows == 2 ? num_k : in;
     const size_t row = (size_t)(num_pixels - 1) * stride + num_k, num = (size_t)num_pixels * num_out;
@@ -324,14 +325,14 @@ static void test_norm(const ql_kernels *c, const ql_kernels *k)
     const uint32_t channels = QL_BLOCK * (1 + random_below(5)), width = 1 + random_below(30);
     const size_t num = (size_t)channels * width;
     float *const in = guarded(num), *const add = guarded(num), *const a = guarded(num), *const b = guarded(num);
-    float *const scale = guarded(channels), *const shift = guarded(channels), *const bound = guarded(num);
+    float *const mean = guarded(channels), *const scale = guarded(channels), *const bound = guarded(num);
     const int kind = (int)random_below(2);
     fill(in, num, kind);
     fill(add, num, kind);
+    fill(mean, channels, 0);
     fill(scale, channels, 0);
-    fill(shift, channels, 0);
     for (size_t i = 0; i < num; ++i) bound[i] = fabsf(in[i]) + 1.0f + fabsf(add[i]);
-    ql_norm_row norm = {in, scale, shift, random_below(2) ? add : NULL, a, channels, width};
+    ql_norm_row norm = {in, mean, scale, random_below(2) ? add : NULL, a, channels, width};
     k->norm_row(&norm);
     norm.out = b;
     c->norm_row(&norm);
@@ -350,7 +351,8 @@ static void test_norm(const ql_kernels *c, const ql_kernels *k)
 static void test_expm1(const ql_kernels *c, const ql_kernels *k)
 {
     const uint32_t width = 1 + random_below(50);
-    float *const in = guarded(width), *const a = guarded(width), *const b = guarded(width), *const bound = guarded(width);
+    float *const in = guarded(width), *const a = guarded(width), *const b = guarded(width),
+                 *const bound = guarded(width);
     fill(in, width, 0);
     for (uint32_t x = 0; x < width; ++x) in[x] *= 12.0f;
     const float top = random_float(0.5f, 10.0f), scale = exp2f((float)random_below(20) - 10.0f);
