@@ -4,8 +4,8 @@
     python -m training.dgan.runs                 # all of them: about ten minutes of one core
     python -m training.dgan.runs --only kpn,generator
 
-The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. Ten minutes of one core allow 2 to 30 epochs
-of crops of the frames at hand, so the rate is raised with the shortening: 1e-3 for kernel predictors, 5e-4 for
+The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. Ten minutes of one core allow 2 to 30
+epochs of crops of the frames at hand, so the rate is raised with the shortening: 1e-3 for kernel predictors, 5e-4 for
 the generator and its discriminators, 3e-4 in phase 2.
 """
 
