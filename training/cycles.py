@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -37,6 +38,18 @@ _LAYER_PASSES = (
 ).split()
 
 
+SHADOW_CATCHER = "Shadow Catcher"
+
+
+@dataclass(frozen=True)
+class Render:
+    """One render: CHANNELS as [C,H,W] float32, the scene's own passes [3,H,W] by name, the CPU seconds it took."""
+
+    pixels: np.ndarray
+    extra: dict[str, np.ndarray]
+    seconds: float
+
+
 def configure(scene: bpy.types.Scene) -> None:
     """Ask for every pass and for plain sampling; all else stays at Cycles' defaults."""
     layer = scene.view_layers[0]
@@ -45,6 +58,7 @@ def configure(scene: bpy.types.Scene) -> None:
     layer.cycles.use_pass_volume_direct = True
     layer.cycles.use_pass_volume_indirect = True
     layer.cycles.denoising_store_passes = True
+    layer.cycles.use_pass_shadow_catcher = any(obj.is_shadow_catcher for obj in scene.objects)
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     # Every pixel must get the sample count that the file name says.
@@ -78,8 +92,15 @@ def set_view(scene: bpy.types.Scene, resolution: tuple[int, int], region: tuple[
         scene.render.border_max_y = (height - y + 0.01) / height
 
 
-def render(scene: bpy.types.Scene, spp: int, seed: int) -> tuple[np.ndarray, float]:
-    """Render the current view; return all CHANNELS as [C,H,W] float32 and the CPU seconds."""
+def extra_passes(scene: bpy.types.Scene) -> list[str]:
+    """Return the passes that only this scene has: its light groups and the shadow catcher's."""
+    layer = scene.view_layers[0]
+    names = [f"Combined_{group.name}" for group in layer.lightgroups]
+    return sorted(names) + ([SHADOW_CATCHER] if layer.cycles.use_pass_shadow_catcher else [])
+
+
+def render(scene: bpy.types.Scene, spp: int, seed: int) -> Render:
+    """Render the current view."""
     scene.cycles.samples = spp
     scene.cycles.seed = seed
     with tempfile.TemporaryDirectory(prefix="quell-render-") as folder:
@@ -89,11 +110,13 @@ def render(scene: bpy.types.Scene, spp: int, seed: int) -> tuple[np.ndarray, flo
         start = time.process_time()
         bpy.ops.render.render(write_still=True)
         seconds = time.process_time() - start
-        return read_passes(path), seconds
+        found = read_channels(path)
+    extra = {name: np.stack([found[f"{name}.{c}"] for c in "RGB"]) for name in extra_passes(scene)}
+    return Render(select_channels(found), extra, seconds)
 
 
-def read_passes(path: Path) -> np.ndarray:
-    """Read a multilayer EXR of any Blender version into the order of CHANNELS."""
+def read_channels(path: Path) -> dict[str, np.ndarray]:
+    """Read a multilayer EXR of any Blender version: "Pass.C" by 4.x's short names to [H,W]."""
     found: dict[str, np.ndarray] = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:
@@ -103,6 +126,11 @@ def read_passes(path: Path) -> np.ndarray:
                 if len(pieces) >= 2:
                     pass_name = _SHORT_NAMES.get(pieces[-2], pieces[-2])
                     found[f"{pass_name}.{pieces[-1]}"] = channel.pixels
+    return found
+
+
+def select_channels(found: dict[str, np.ndarray]) -> np.ndarray:
+    """Return what was read in the order of CHANNELS; passes of volumes may be missing and are then zero."""
     height, width = found["Combined.R"].shape
     out = np.zeros((len(CHANNELS), height, width), np.float32)
     for index, name in enumerate(CHANNELS):

@@ -1,97 +1,168 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error of a run on the validation frames, beside the noisy input and Open Image Denoise.
+"""Error of models beside the noisy input and Open Image Denoise, per layer, on frames that have two references.
 
-    python -m training.evaluate --run NAME [--spp 4,16,64] [--csv FILE] [--no-peer]
+    python -m training.evaluate --model weights/quell-balanced.qwt --out evaluation [--spp 4,16,64]
+    python -m training.evaluate --run balanced-1 --no-peer --out evaluation       a training run, in PyTorch
+    python -m training.evaluate --model "" --samples samples --out evaluation     the built-in model on EXR files
 
-relMSE with two references, whose own noise cancels: mean of (x - a)(x - b) / (m^2 + 0.01), m = (a + b) / 2. Quoted are
-the geometric mean over frames and the worst frame. Models see all passes ("all") or Combined and guides ("beauty").
+Frames are the validation set's, or with --samples those of a folder like samples/. Written are scores.csv (every frame,
+method and layer), summary.csv (geometric means and worst frames), error-time.png, and worst-<spp>spp.png with crops.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from training import peer
-from training.data.crops import to_guides, to_layers
-from training.data.pack import CLOSURE_TOLERANCE, INPUT, choose_environment, select_passes
-from training.data.store import FrameRecord, list_frames, pass_slice, read_render
-from training.export import load_run, round_to_half
-from training.infer import denoise_frame
-from training.models.quell import Quell
+from training import libquell, measure, peer, report
+from training.pairs import GUIDES, LIGHT, Layers, Pair, closure, exr_pairs, recombine, stack_passes, stored_pairs
 from training.paths import data_root
 
-EPSILON = 0.01
+#: Passes that the sum of passes misses by more than this, relative to Combined, are not recombined (half floats: 1e-3).
+CLOSURE_TOLERANCE = 5e-3
+
+Method = Callable[[Pair], tuple[Layers, float]]
 
 
-def rel_mse(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """Images [3,h,w], float."""
-    m = 0.5 * (a.astype(np.float64) + b)
-    return float(((x - a) * (x - b).astype(np.float64) / (m * m + EPSILON)).mean())
+def noisy(pair: Pair) -> tuple[Layers, float]:
+    """The input itself."""
+    return pair.layers, 0.0
 
 
-def evaluate_frame(model: Quell | None, record: FrameRecord, spp: int, use_peer: bool) -> dict[str, float]:
-    """relMSE of Combined by method."""
-    refs = [read_render(record.renders[f"ref_{k}"])[pass_slice("Combined")][:3].astype(np.float32) for k in "ab"]
-    render = read_render(record.renders[f"{spp}_0"])
-    with_environment, error = choose_environment(render)
-    x = select_passes(render, with_environment)
-    closes = error < CLOSURE_TOLERANCE
-    noisy = x[INPUT["beauty"]]
-    out = {"noisy": rel_mse(noisy, *refs)}
-    tensor = torch.from_numpy(x)[None]
-    guides = to_guides(tensor)
-    if model is not None:
-        for name, light in (("beauty", False), ("all", True)):
-            result = denoise_frame(model, to_layers(tensor, light), guides, spp)
-            image = result.combined if closes or not light else result.direct
-            out[name] = rel_mse(image[0].numpy(), *refs)
-            if light:
-                out["direct"] = rel_mse(result.direct[0].numpy(), *refs)
-                out["rebuilt"] = rel_mse(result.rebuilt[0].numpy(), *refs)
-    if use_peer:
-        planes = [x[INPUT[name]].transpose(1, 2, 0) for name in ("beauty", "albedo", "normal")]
-        for setting in ("fast/fast", "high/fast", "high/accurate"):
-            image = peer.denoise(*planes, setting).transpose(2, 0, 1)
-            out[setting] = rel_mse(image, *refs)
-    return out
+def library_method(model: str, beauty: bool, threads: int) -> Method:
+    """A weight file in libquell, with every layer of the frame or with Combined and its guides alone."""
+
+    def run(pair: Pair) -> tuple[Layers, float]:
+        chosen = {n: x for n, x in pair.layers.items() if not beauty or n == "Combined" or n in GUIDES}
+        return libquell.denoise(model, chosen, pair.spp, threads)
+
+    return run
 
 
-def geometric(values: list[float]) -> float:
-    return float(np.exp(np.mean(np.log(np.maximum(values, 1e-8)))))
+def run_method(run: str, light: bool) -> Method:
+    """A training run in PyTorch, its weights rounded as they are exported; Combined alone comes back."""
+    import torch
+
+    from training.data.crops import to_guides, to_layers
+    from training.data.pack import select_passes
+    from training.export import load_run, round_to_half
+    from training.infer import denoise_frame
+
+    model = round_to_half(load_run(run)[0])
+
+    def denoise(pair: Pair) -> tuple[Layers, float]:
+        with_environment, error = closure(pair.layers)
+        inputs = torch.from_numpy(select_passes(stack_passes(pair.layers), with_environment))[None]
+        has_light = light and np.isfinite(error)
+        start = time.perf_counter()
+        result = denoise_frame(model, to_layers(inputs, has_light), to_guides(inputs), pair.spp)
+        seconds = time.perf_counter() - start
+        image = result.combined if has_light and error < CLOSURE_TOLERANCE else result.direct
+        return {"Combined": image[0].numpy().transpose(1, 2, 0)}, seconds
+
+    return denoise
 
 
-def main() -> None:
+def peer_method(setting: str, threads: int) -> Method:
+    """Open Image Denoise on Combined."""
+
+    def denoise(pair: Pair) -> tuple[Layers, float]:
+        images = [pair.layers[name][..., :3] for name in ("Combined", "Denoising Albedo", "Denoising Normal")]
+        start = time.perf_counter()
+        out = peer.denoise(*images, setting, threads)
+        return {"Combined": out}, time.perf_counter() - start
+
+    return denoise
+
+
+def peer_passes_method(setting: str, threads: int) -> Method:
+    """Open Image Denoise on every light pass and colour by itself; Combined is their sum where the passes close."""
+
+    def denoise(pair: Pair) -> tuple[Layers, float]:
+        layers, (with_environment, error) = pair.layers, closure(pair.layers)
+        colors = {n: layers[n] for n in (f"{p}Col" for p in LIGHT) if n in layers}
+        skip = {"Combined", *colors, *GUIDES}
+        lights = {n: x[..., :3] for n, x in layers.items() if n not in skip}
+        start = time.perf_counter()
+        out = peer.denoise_passes(
+            lights, colors, layers["Denoising Albedo"], layers["Denoising Normal"], setting, threads
+        )
+        if error < CLOSURE_TOLERANCE:
+            out["Combined"] = recombine(out, with_environment)
+        return out, time.perf_counter() - start
+
+    return denoise
+
+
+def choose_methods(args: argparse.Namespace) -> dict[str, Method]:
+    """Return what is to be compared, by the name that tables give it."""
+    methods: dict[str, Method] = {"noisy": noisy}
+    for model in args.model:
+        name = Path(model).stem or "built-in"
+        methods[name] = library_method(model, False, args.threads)
+        methods[f"{name}, Combined alone"] = library_method(model, True, args.threads)
+    for run in args.run:
+        methods[f"run {run}"] = run_method(run, True)
+        methods[f"run {run}, Combined alone"] = run_method(run, False)
+    if not args.no_peer:
+        for setting in peer.SETTINGS:
+            methods[f"OIDN {setting}"] = peer_method(setting, args.threads)
+        methods["OIDN high/accurate per pass"] = peer_passes_method("high/accurate", args.threads)
+    return methods
+
+
+def evaluate(pairs: Iterable[Pair], methods: dict[str, Method]) -> Iterator[tuple[report.Row, np.ndarray]]:
+    """Yield a row and the image [h,w,3] for every frame, method and layer that both references have."""
+    for pair in pairs:
+        for method, denoise in methods.items():
+            out, seconds = denoise(pair)
+            pixels = pair.layers["Combined"].shape[0] * pair.layers["Combined"].shape[1]
+            for layer in pair.scored():
+                if layer in out:
+                    images = [x[layer][..., :3] for x in (out, pair.reference_a, pair.reference_b)]
+                    scores = measure.score(*images)
+                    yield report.Row(pair.name, pair.spp, method, layer, scores, seconds * 1e6 / pixels), images[0]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run")
-    parser.add_argument("--spp", default="4,16,64")
-    parser.add_argument("--csv", type=Path)
-    parser.add_argument("--no-peer", action="store_true")
-    args = parser.parse_args()
-    model = round_to_half(load_run(args.run)[0]) if args.run else None
+    parser.add_argument("--model", action="append", default=[], help="weight file, or a built-in name; repeatable")
+    parser.add_argument("--run", action="append", default=[], help="training run, in PyTorch; repeatable")
+    parser.add_argument("--spp", default="4,16,64", help="sample counts of the noisy input")
+    parser.add_argument("--samples", type=Path, help="folder of EXR files instead of the validation set")
+    parser.add_argument("--data", type=Path, help="data set folder")
+    parser.add_argument("--no-peer", action="store_true", help="leave Open Image Denoise out")
+    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument("--worst", type=int, default=6, help="frames shown as pictures, per sample count")
+    parser.add_argument("--out", type=Path, default=Path("evaluation"))
+    args = parser.parse_args(argv)
+    spp = [int(text) for text in args.spp.split(",")]
+    pairs = list(exr_pairs(args.samples, spp) if args.samples else stored_pairs(args.data or data_root(), "val", spp))
+    if not pairs:
+        raise SystemExit("no frames with two references at these sample counts")
+    methods = choose_methods(args)
+    gallery = report.Gallery(pairs, subject=next((n for n in methods if n != "noisy"), "noisy"))
     rows = []
-    for spp in map(int, args.spp.split(",")):
-        scores: dict[str, list[float]] = {}
-        for record in list_frames(data_root(), "val"):
-            if not {f"{spp}_0", "ref_a", "ref_b"} <= set(record.renders):
-                continue
-            frame = evaluate_frame(model, record, spp, not args.no_peer)
-            rows.append({"frame": f"{record.family}/{record.name}", "spp": spp, **frame})
-            for method, value in frame.items():
-                scores.setdefault(method, []).append(value)
-        for method, values in scores.items():
-            print(f"{spp:4d} spp {method:14s} {geometric(values):.5f}  worst {max(values):.5f}  ({len(values)} frames)")
-    if args.csv and rows:
-        args.csv.parent.mkdir(parents=True, exist_ok=True)
-        with args.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, rows[0].keys())
-            writer.writeheader()
-            writer.writerows(rows)
+    for row, image in evaluate(pairs, methods):
+        rows.append(row)
+        gallery.keep(row, image)
+    args.out.mkdir(parents=True, exist_ok=True)
+    report.write_rows(args.out / "scores.csv", rows)
+    summary = report.summarise(rows)
+    report.write_summary(args.out / "summary.csv", summary)
+    print(report.table(summary))
+    report.plot_error_against_time(args.out / "error-time.png", summary)
+    for count in spp:
+        gallery.write_worst(args.out / f"worst-{count}spp.png", count, args.worst)
+    print(f"written to {args.out}: scores.csv, summary.csv, error-time.png, worst-*.png")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

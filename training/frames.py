@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import shutil
 import time
 import traceback
 from dataclasses import dataclass
@@ -14,10 +15,12 @@ from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from training import cycles
 from training.data.store import CHANNELS, pass_slice, write_atomic, write_render
-from training.scenes.core import ShotMaker, Stage, apply_shot, build_scene, rng_for
+from training.scenes.build import build_scene
+from training.scenes.core import Shot, ShotMaker, Stage, apply_shot, rng_for
 from training.scenes.lights import scale_lights
 
 if TYPE_CHECKING:
@@ -26,8 +29,13 @@ if TYPE_CHECKING:
 #: Final resolutions that frames are cut out of, so that a pixel covers as much of the
 #: scene as in pictures that people render; the first is a whole small picture.
 _RESOLUTIONS = ((0, 0), (640, 360), (960, 540), (1280, 720), (1920, 1080))
-_PREVIEW_LONG_SIDE = 240
-_PREVIEW_SPP = 4
+#: Sub-folder of a frame for the passes that its scene alone has, named by "extra" in meta.json, 3 channels each.
+EXTRA = "extra"
+_PREVIEW_LONG_SIDE = 208
+_PREVIEW_SPP = 3
+_REGION_TRIES = 40
+_SHOT_TRIES = 4
+_GRID = 12
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ def render_frame(
             gain = meta["light_gain"]
             scale_lights(stage.scene, gain)
         view = View(meta["attempt"], tuple(meta["resolution"]), tuple(meta["region"]))
-        apply_shot(stage.scene, maker(shot_rng(job, camera, view.attempt)))
+        apply_shot(stage.scene, compose(stage.scene, maker, shot_rng(job, camera, view.attempt), view.resolution))
     else:
         found, gain, reason = find_view(config, job, camera, stage, maker, gain)
         if found is None:
@@ -119,6 +127,7 @@ def render_frame(
             "resolution": view.resolution,
             "region": view.region,
             "channels": CHANNELS,
+            "extra": cycles.extra_passes(stage.scene),
             "light_gain": gain,
             "brightness": stage.brightness,
             "motion_blur": stage.scene.render.use_motion_blur,
@@ -137,22 +146,24 @@ def render_frame(
     for name, spp in wanted:
         seed = cycles_seed(job, camera, name)
         start = time.process_time()
-        pixels, seconds = cycles.render(stage.scene, spp, seed)
-        if not np.isfinite(pixels).all():
+        render = cycles.render(stage.scene, spp, seed)
+        extra = np.concatenate([*render.extra.values()]) if render.extra else None
+        if not np.isfinite(render.pixels).all() or (extra is not None and not np.isfinite(extra).all()):
             reject(config, job, camera, f"non-finite values in {name}")
             return gain
         meta["seconds"][name] = round(time.process_time() - start, 2)
         meta["cycles_seeds"][name] = seed
         pending -= spp
         # The first render of a view includes the scene's preparation; judge by a later one.
-        if spp >= 2 and seconds / spp * pending > config.limit:
-            reject(config, job, camera, f"too slow: {seconds:.1f} s at {spp} spp")
-            for path in folder.glob("*"):
-                path.unlink()
-            folder.rmdir()
+        if spp >= 2 and render.seconds / spp * pending > config.limit:
+            reject(config, job, camera, f"too slow: {render.seconds:.1f} s at {spp} spp")
+            shutil.rmtree(folder)
             return gain
         write_atomic(meta_path, json.dumps(meta, indent=1).encode())
-        write_render(folder / f"{name}.qfr", pixels, spp)
+        if extra is not None:
+            (folder / EXTRA).mkdir(exist_ok=True)
+            write_render(folder / EXTRA / f"{name}.qfr", extra, spp)
+        write_render(folder / f"{name}.qfr", render.pixels, spp)
         note.touch()
     return gain
 
@@ -160,6 +171,32 @@ def render_frame(
 def shot_rng(job: Job, camera: int, attempt: int) -> random.Random:
     """Return the randomness of one camera attempt."""
     return rng_for(job.family, job.seed, "camera", camera, attempt)
+
+
+def compose(scene: bpy.types.Scene, maker: ShotMaker, rng: random.Random, resolution: tuple[int, int]) -> Shot:
+    """Return the one of a few shots that has most in it, as rays through a coarse grid find."""
+    shots = [maker(rng) for _ in range(_SHOT_TRIES)]
+    return max(shots, key=lambda shot: interest(scene, shot, resolution[1] / resolution[0]))
+
+
+def interest(scene: bpy.types.Scene, shot: Shot, aspect: float) -> float:
+    """Return how many things a shot shows, less for what blocks the view or hides behind the lens."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    axis = shot.target - shot.location
+    turn = axis.to_track_quat("-Z", "Y")
+    half = 18.0 / shot.lens
+    seen: dict[str, int] = {}
+    blocked = 0
+    for row in range(_GRID):
+        for column in range(_GRID):
+            x, y = (2 * (column + 0.5) / _GRID - 1) * half, (2 * (row + 0.5) / _GRID - 1) * half * aspect
+            ray = turn @ Vector((x, y, -1.0))
+            hit, place, _, _, obj, _ = scene.ray_cast(graph, shot.location, ray)
+            if hit:
+                seen[obj.name] = seen.get(obj.name, 0) + 1
+                blocked += (place - shot.location).length < 0.25 * axis.length
+    # A thing that fills the picture counts little more than one that is met a few times.
+    return sum(math.log2(1 + count) for count in seen.values()) - 0.5 * blocked
 
 
 def find_view(
@@ -170,15 +207,14 @@ def find_view(
 
     scene, reason = stage.scene, "no camera"
     for attempt in range(_CAMERA_TRIES):
-        rng = shot_rng(job, camera, attempt)
-        apply_shot(scene, maker(rng))
         view_rng = rng_for(job.family, job.seed, "view", camera, attempt)
         index = view_rng.choice((0, 1, 1, 1, 2, 2, 3, 4))
         resolution = _RESOLUTIONS[index] if index else (config.size, config.size)
+        apply_shot(scene, compose(scene, maker, shot_rng(job, camera, attempt), resolution))
         factor = min(1.0, _PREVIEW_LONG_SIDE / max(resolution))
         small = tuple(max(16, round(v * factor)) for v in resolution)
         cycles.set_view(scene, small, None)
-        preview, _ = cycles.render(scene, _PREVIEW_SPP, 12345 + attempt)
+        preview = cycles.render(scene, _PREVIEW_SPP, 12345 + attempt).pixels
         reason = whole_picture_fault(preview)
         if reason:
             continue
@@ -230,8 +266,12 @@ def whole_picture_fault(preview: np.ndarray) -> str:
         return "camera too close to something"
     if not np.isfinite(preview).all():
         return "non-finite preview"
-    if luminance(preview[pass_slice("Combined")]).max() <= 1e-6:
+    light, alpha = luminance(preview[pass_slice("Combined")]), preview[pass_slice("Combined")][3]
+    if light.max() <= 1e-6:
         return "black"
+    # Where most samples find no light at all, an artist would light the scene in another way.
+    if (light[alpha > 0.5] <= 1e-6).mean() > 0.5:
+        return "hardly lit"
     return ""
 
 
@@ -269,11 +309,11 @@ def choose_region(
     if (width, height) == (size, size):
         candidates = [(0, 0)]
     else:
-        candidates = [(rng.randint(0, width - size), rng.randint(0, height - size)) for _ in range(24)]
+        candidates = [(rng.randint(0, width - size), rng.randint(0, height - size)) for _ in range(_REGION_TRIES)]
     scored, reasons = [], []
     for x, y in candidates:
         x0, y0 = x * pw // width, y * ph // height
-        x1, y1 = max(x0 + 8, (x + size) * pw // width), max(y0 + 8, (y + size) * ph // height)
+        x1, y1 = max(x0 + 16, (x + size) * pw // width), max(y0 + 16, (y + size) * ph // height)
         score, reason = region_score(preview[:, y0:y1, x0:x1])
         if reason:
             reasons.append(reason)
@@ -281,27 +321,35 @@ def choose_region(
             scored.append(((x, y, size, size), score))
     if not scored:
         return None, f"region: {reasons[0]}"
-    # Not always the very best: plain regions are part of every picture too.
+    # Not always the very best: plainer regions are part of every picture too.
     return rng.choices([r for r, _ in scored], [s for _, s in scored])[0], ""
 
 
+def edges(planes: np.ndarray) -> float:
+    """Return how much [C,H,W] changes from one 2x2 block to the next: little where all is plain or out of focus."""
+    blocks = np.stack([smooth(plane, 2) for plane in planes])
+    return float(np.abs(np.diff(blocks, axis=1)).mean() + np.abs(np.diff(blocks, axis=2)).mean())
+
+
 def region_score(part: np.ndarray) -> tuple[float, str]:
-    """Return how much light changes within a region, or why it is not worth rendering."""
+    """Return how much there is to see in a region, or why it is not worth rendering."""
     light = smooth(luminance(part[pass_slice("Combined")]), 2)
     toned = tone(np.maximum(light, 0.0))
     hit = part[pass_slice("Depth")][0] > 0
+    fog = part[pass_slice("VolumeDir")].any()
     shine = smooth(luminance(part[pass_slice("Emit")] + part[pass_slice("Env")]), 2)
-    if toned.mean() < 0.03:
+    if toned.mean() < 0.05:
         return 0.0, "black"
     if (toned > 0.93).mean() > 0.4:
         return 0.0, "burnt out"
-    if hit.mean() < 0.2 and not part[pass_slice("VolumeDir")].any():
+    if hit.mean() < 0.25 and not fog:
         return 0.0, "empty sky"
-    if (shine > 0.6 * light).mean() > 0.75:
+    if (shine > 0.6 * light).mean() > 0.6:
         return 0.0, "all emission"
-    albedo = luminance(np.clip(part[pass_slice("Denoising Albedo")], 0.0, 1.0))
-    detail = float(toned.std()) + 0.5 * float(smooth(albedo, 2).std())
-    detail += 0.25 * float(part[pass_slice("Normal")].std((1, 2)).mean())
-    if detail < 0.11:
+    albedo = np.clip(part[pass_slice("Denoising Albedo")], 0.0, 1.0)
+    detail = edges(albedo) + 0.5 * edges(part[pass_slice("Denoising Normal")])
+    if detail < 0.05 and not fog:
         return 0.0, "flat"
-    return detail**2, ""
+    if toned.std() < 0.03:
+        return 0.0, "no contrast"
+    return (min(detail, 0.3) + 0.4 * float(toned.std())) ** 3, ""

@@ -62,3 +62,31 @@ def denoise(color: np.ndarray, albedo: np.ndarray, normal: np.ndarray, setting: 
             images[name] = run_filter({name: images[name]}, threads, quality=quality)
         return run_filter(images, threads, hdr=True, cleanAux=True, quality=quality)
     return run_filter(images, threads, hdr=True, quality=quality)
+
+
+def denoise_passes(
+    lights: dict[str, np.ndarray],
+    colors: dict[str, np.ndarray],
+    albedo: np.ndarray,
+    normal: np.ndarray,
+    setting: str = "high/accurate",
+    threads: int = 0,
+) -> dict[str, np.ndarray]:
+    """Denoises each pass by itself, as compositing set-ups do: lights [h,w,3] in scene light, colours in 0..1.
+
+    Every pass has a copy of its own in the result; the guides are filtered once where the setting asks for it.
+    """
+    quality, prefilter = SETTINGS[setting]
+    guides = {"albedo": np.ascontiguousarray(albedo, np.float32), "normal": np.ascontiguousarray(normal, np.float32)}
+    flags: dict[str, bool | int] = {"quality": quality}
+    if prefilter:
+        guides = {name: run_filter({name: image}, threads, quality=quality) for name, image in guides.items()}
+        flags["cleanAux"] = True
+    out = {}
+    for name, image in {**lights, **colors}.items():
+        if image.any():
+            images = {"color": np.ascontiguousarray(image, np.float32), **guides}
+            out[name] = run_filter(images, threads, **flags, **({"hdr": True} if name in lights else {"srgb": False}))
+        else:
+            out[name] = image.copy()
+    return out

@@ -3,8 +3,23 @@
 
 import bpy  # noqa: F401, I001 - first: only then does mathutils exist
 
-from training.scenes import abstract, buildings, exteriors, fine, heldout, interiors, moods, plants, stilllife, wet
-from training.scenes.core import FAMILIES, Family, build_scene, rng_for
+from training.scenes import (
+    abstract,
+    buildings,
+    exteriors,
+    fine,
+    heldout,
+    interiors,
+    moods,
+    organic,
+    places,
+    plants,
+    stilllife,
+    studio,
+    wet,
+)
+from training.scenes.build import build_scene
+from training.scenes.core import FAMILIES, Family, rng_for
 
 __all__ = [
     "FAMILIES",
@@ -17,8 +32,11 @@ __all__ = [
     "heldout",
     "interiors",
     "moods",
+    "organic",
+    "places",
     "plants",
     "rng_for",
     "stilllife",
+    "studio",
     "wet",
 ]

@@ -11,7 +11,7 @@ import bpy
 from mathutils import Vector
 
 from training.assets import Furniture
-from training.scenes import interiors, lights, objects
+from training.scenes import clutter, interiors, lights, objects
 from training.scenes import materials as mat
 from training.scenes.core import Shot, ShotMaker, Stage, family, inside, lens_blur, log_uniform, orbit, random_lens
 from training.scenes.exteriors import ground_material, outdoor_item, terrain
@@ -30,8 +30,10 @@ def wet_room(stage: Stage, categories: tuple[str, ...], count: int) -> ShotMaker
     room = interiors.make_room(stage, rng.choice((0, 1, 1)), (2.0, 4.5), tiled(stage), tiled(stage))
     interiors.furnish(stage, room, count, categories, 0.2, rug=False)
     interiors.hang_pictures(stage, room, rng.randint(1, 3), 0.9)
+    for _ in range(rng.randint(1, 3)):
+        interiors.hang_shelf(stage, room, rng.randrange(4))
     if room.windows and stage.chance(0.7):
-        interiors.daylight(stage)
+        interiors.daylight(stage, room)
     else:
         lights.gradient_world(stage, 0.05)
     if not room.windows or stage.chance(0.6):
@@ -69,18 +71,16 @@ def kitchen(stage: Stage) -> ShotMaker:
     def small(item: Furniture) -> bool:
         return 0.06 < max(item.size) < 0.5 and not item.opening
 
-    for _ in range(rng.randint(4, 12)):
+    for _ in range(rng.randint(6, 14)):
         px, py = interiors.wall_point(room, wall, rng.uniform(-half + 0.2, half - 0.2), rng.uniform(0.12, 0.45))
-        if stage.chance(0.6):
-            model = objects.choose(stage, ("Kitchen",), small)
-            thing = objects.load(stage, model, 0.7) if model else None
-        else:
-            maker = rng.choice((mat.glass, mat.plastic, mat.metal, mat.skin))
-            thing = objects.add_mesh(stage, "vessel", objects.vessel_mesh(rng, rng.uniform(0.08, 0.3)), maker(rng))
+        model = objects.choose(stage, ("Kitchen",), small) if stage.chance(0.5) else None
+        thing = objects.load(stage, model, 0.7) if model else None
         if thing:
             objects.place(thing, px, py, 0.901, rng.uniform(-3, 3))
+        else:
+            clutter.on_top(stage, px, py, 0.9)
     if room.windows:
-        interiors.daylight(stage)
+        interiors.daylight(stage, room)
     else:
         lights.gradient_world(stage, 0.05)
     if not room.windows or stage.chance(0.6):
@@ -215,7 +215,7 @@ def street_night(stage: Stage) -> ShotMaker:
                 front = obj.location + Vector((0, -item.size[1] / 2 - 0.1, 0.6))
                 lights.lamp(stage, "SPOT", front, 150, front + Vector((0, -5, -0.5)), (1, 0.95, 0.85), 0.05)
     if stage.chance(0.3):
-        lights.hdri_world(stage, 0.15, "night" if stage.split == "train" else None)
+        lights.hdri_world(stage, 0.15, "night")
     else:
         lights.plain_world(stage, (0.15, 0.2, 0.35), log_uniform(rng, 0.005, 0.08))
     stage.brightness = rng.uniform(0.18, 0.4)

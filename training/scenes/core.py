@@ -79,20 +79,6 @@ def rng_for(*parts: object) -> random.Random:
     return random.Random(int.from_bytes(digest[:8], "little"))
 
 
-def build_scene(name: str, seed: int) -> tuple[Stage, ShotMaker]:
-    """Replace everything in Blender by the scene (family, seed)."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.unit_settings.system = "METRIC"
-    stage = Stage(rng_for(name, seed), FAMILIES[name].split, scene)
-    # A quarter of all pictures is moody, the rest is exposed as one would expect.
-    stage.brightness = stage.rng.uniform(0.17, 0.33) if stage.chance(0.25) else stage.rng.uniform(0.35, 0.6)
-    maker = FAMILIES[name].build(stage)
-    bpy.context.view_layer.update()
-    return stage, maker
-
-
 def log_uniform(rng: random.Random, low: float, high: float) -> float:
     """Return a number whose logarithm is uniform between two bounds."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))
@@ -142,9 +128,19 @@ def move(obj: bpy.types.Object, travel: Vector, turn: Vector | None = None) -> N
         for frame, side in ((0, -1.0), (2, 1.0)):
             obj.rotation_euler = angle + turn * side
             obj.keyframe_insert("rotation_euler", frame=frame)
-    for curve in obj.animation_data.action.fcurves:
+    for curve in _curves(obj.animation_data):
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
+
+
+def _curves(animation: bpy.types.AnimData) -> list[bpy.types.FCurve]:
+    """Return the curves of an object's own action in any Blender version."""
+    if hasattr(animation.action, "fcurves"):
+        return list(animation.action.fcurves)
+    # Blender 5 keeps them in layers, one bag per animated thing.
+    strips = [strip for layer in animation.action.layers for strip in layer.strips]
+    bags = [strip.channelbag(animation.action_slot) for strip in strips]
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
 
 
 def random_lens(rng: random.Random, low: float = 18.0, high: float = 85.0) -> float:
@@ -160,7 +156,7 @@ def lens_blur(
     lens: float,
     distance: float,
     probability: float = 0.2,
-    opening: tuple[float, float] = (0.003, 0.04),
+    opening: tuple[float, float] = (0.002, 0.02),
 ) -> tuple[float | None, float | None]:
     """Return (fstop, focus distance), or (None, None) for a sharp picture.
 

@@ -45,7 +45,8 @@ def ground_material(stage: Stage) -> bpy.types.Material:
         "asphalt": (0.07, 0.07, 0.075),
     }[kind]
     material = mat.diffuse(rng, color)
-    mat.texture_color(material, rng, (mat.mix_color(color, (0, 0, 0), 0.5), color), log_uniform(rng, 2, 40))
+    dark = mat.mix_color(color, (0, 0, 0), 0.5)
+    mat.texture_color(material, rng, (dark, color), log_uniform(rng, 2, 40), ("noise", "noise", "voronoi"))
     return mat.add_bump(material, rng, log_uniform(rng, 10, 80), ("noise", "voronoi"))
 
 
@@ -84,11 +85,7 @@ def exterior_hdri(stage: Stage) -> ShotMaker:
         obj.location = (rng.gauss(0, 3), rng.gauss(0, 3), 0)
         objects.rest(obj)
     if stage.chance(0.8):
-        lights.hdri_world(
-            stage,
-            log_uniform(rng, 0.5, 2),
-            rng.choice([n for n in lights.HDRIS[stage.split] if n not in ("interior", "studio")]),
-        )
+        lights.hdri_world(stage, log_uniform(rng, 0.5, 2), outdoor=True)
     else:
         lights.sky_world(stage)
     return orbit(Vector((0, 0, 0.8)), (4, 9), (4, 35), (20, 70), spread=0.2)

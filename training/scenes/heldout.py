@@ -56,7 +56,7 @@ def staircase(stage: Stage) -> ShotMaker:
     wire(stage, posts, rng.uniform(0.006, 0.02), rail)
     interiors.hang_pictures(stage, room, 4)
     interiors.furnish(stage, room, rng.randint(1, 4))
-    interiors.daylight(stage)
+    interiors.daylight(stage, room)
     if stage.chance(0.7):
         interiors.ceiling_lights(stage, room)
     return inside(room.low, room.high, (16, 40))
@@ -107,7 +107,7 @@ def library(stage: Stage) -> ShotMaker:
     for _ in range(rng.randint(1, 3)):
         interiors.shaded_lamp(stage, room)
     if room.windows:
-        interiors.daylight(stage)
+        interiors.daylight(stage, room)
     else:
         lights.gradient_world(stage, 0.03)
     if stage.chance(0.6):
@@ -196,7 +196,7 @@ def workshop(stage: Stage) -> ShotMaker:
     if stage.chance(0.3):
         mist(stage, room.low - Vector((0.1,) * 3), room.high + Vector((0.1,) * 3), log_uniform(rng, 0.01, 0.08))
     if room.windows:
-        interiors.daylight(stage)
+        interiors.daylight(stage, room)
     else:
         lights.gradient_world(stage, 0.02)
     wide = inside(room.low, room.high, (18, 45), 0.2)

@@ -12,7 +12,7 @@ import bpy
 from mathutils import Vector
 
 from training.assets import Furniture
-from training.scenes import lights, objects
+from training.scenes import clutter, lights, objects, textures
 from training.scenes import materials as mat
 from training.scenes.core import ShotMaker, Stage, family, inside, log_uniform
 
@@ -58,12 +58,12 @@ def make_room(
     size: tuple[float, float] = (3.0, 7.0),
     wall: bpy.types.Material | None = None,
     floor: bpy.types.Material | None = None,
+    window_walls: Sequence[int] | None = None,
 ) -> Room:
-    """Build walls with holes for windows, floor and ceiling."""
+    """Build walls with holes for windows (in so many walls, or in the given ones), floor and ceiling."""
     rng = stage.rng
     room = Room(rng.uniform(*size), rng.uniform(*size), rng.uniform(2.4, 3.4), [])
-    walls = rng.sample(range(4), min(windows, 4)) if windows <= 4 else list(range(4))
-    for index in walls:
+    for index in window_walls or rng.sample(range(4), min(windows, 4)):
         length = wall_length(room, index)
         count = rng.choice((1, 1, 2, 3)) if length > 3.5 else 1
         width = min(rng.uniform(0.8, 2.5), length / count * 0.75)
@@ -94,14 +94,16 @@ def plaster(stage: Stage) -> bpy.types.Material:
     """Return paint, wallpaper, bricks or panels for a wall."""
     rng = stage.rng
     draw = rng.random()
-    if draw < 0.55:
-        material = mat.diffuse(rng, mat.mix_color(mat.random_color(rng, 0.5), (0.85,) * 3, 0.6))
+    if draw < 0.65:
+        pale = mat.mix_color(mat.warm_color(rng), (0.82, 0.81, 0.78), rng.uniform(0.7, 1.0))
+        bold = mat.mix_color(mat.random_color(rng, 0.5), (0.85,) * 3, 0.5)
+        material = mat.diffuse(rng, pale if stage.chance(0.7) else bold)
         return mat.add_bump(material, rng, 60, ("noise",)) if stage.chance(0.4) else material
-    if draw < 0.7:
+    if draw < 0.75:
         material = mat.diffuse(rng)
         colors = (mat.random_color(rng, 0.4), mat.random_color(rng, 0.4))
         return mat.texture_color(material, rng, colors, log_uniform(rng, 3, 20))
-    return mat.tiles(rng) if draw < 0.85 else mat.wood(rng) if draw < 0.93 else mat.stone(rng)
+    return mat.tiles(rng) if draw < 0.87 else mat.wood(rng) if draw < 0.94 else mat.stone(rng)
 
 
 def plaster_outside(rng: random.Random) -> bpy.types.Material:
@@ -249,36 +251,67 @@ def furnish(
     return placed
 
 
-SMALL = ("Kitchen", "Bedroom", "Miscellaneous", "Office", "Living room", "Bathroom")
+FLAT_TOPS = ("table", "desk", "drawer", "chest", "stand", "cabinet", "board", "shel", "bench", "counter")
 
 
 def decorate(stage: Stage, placed: Sequence[tuple[bpy.types.Object, Furniture]]) -> None:
     """Put small things on tables, desks and chests."""
     rng = stage.rng
-
-    def small(item: Furniture) -> bool:
-        return max(item.size) < 0.5 and item.size[2] > 0.05 and not item.opening
-
     for obj, item in placed:
-        flat = any(word in item.name.lower() for word in ("table", "desk", "drawer", "chest", "stand"))
-        if not flat or item.size[2] > 1.2:
+        if not any(word in item.name.lower() for word in FLAT_TOPS) or not 0.25 < item.size[2] < 1.3:
             continue
-        for _ in range(rng.randint(0, 3)):
+        for _ in range(rng.randint(1, 5)):
             x = rng.uniform(-0.35, 0.35) * item.size[0]
             y = rng.uniform(-0.35, 0.35) * item.size[1]
             spot = obj.matrix_basis @ Vector((x, y, item.size[2]))
-            if stage.chance(0.5):
-                thing = objects.add_mesh(
-                    stage,
-                    "vessel",
-                    objects.vessel_mesh(rng, rng.uniform(0.08, 0.3)),
-                    rng.choice((mat.glass, mat.plastic, mat.metal, mat.skin))(rng),
-                )
-            else:
-                model = objects.choose(stage, SMALL, small)
-                thing = objects.load(stage, model) if model else None
-            if thing:
-                objects.place(thing, spot.x, spot.y, spot.z + 0.002, rng.uniform(-3, 3))
+            clutter.on_top(stage, spot.x, spot.y, spot.z)
+
+
+def hang_curtains(stage: Stage, room: Room) -> None:
+    """Hang curtains beside or before the windows."""
+    rng = stage.rng
+    cloth = clutter.curtain_cloth(stage)
+    for wall, center, sill, width, height in room.windows:
+        closed = stage.chance(0.25)
+        top, drop = sill + height + 0.08, height + rng.choice((0.15, sill + 0.05))
+        for side in (-1, 1):
+            wide = width * (0.55 if closed else rng.uniform(0.15, 0.35))
+            mesh = clutter.curtain_mesh(rng, wide, drop, wide * rng.uniform(6, 12))
+            along = center + side * (width / 2 + 0.06 - wide / 2)
+            x, y = wall_point(room, wall, along, 0.12)
+            curtain = objects.add_mesh(stage, "curtain", mesh, cloth)
+            objects.place(curtain, x, y, top, (0, -math.pi / 2, math.pi, math.pi / 2)[wall])
+
+
+def dwell(stage: Stage, room: Room) -> None:
+    """Add what makes a room lived in: plants, shelves, curtains, things on the floor."""
+    rng = stage.rng
+    if room.windows and stage.chance(0.5):
+        hang_curtains(stage, room)
+    for _ in range(rng.choice((0, 1, 1, 2, 3))):
+        wall = rng.randrange(4)
+        reach = wall_length(room, wall) / 2 - 0.35
+        x, y = wall_point(room, wall, rng.uniform(-reach, reach), 0.35)
+        clutter.potted_plant(stage, x, y, 0.0, rng.uniform(0.4, 1.3))
+    if stage.chance(0.4):
+        free = [w for w in range(4) if all(win[0] != w for win in room.windows)] or [0]
+        hang_shelf(stage, room, rng.choice(free))
+    for _ in range(rng.choice((0, 0, 2, 6))):
+        clutter.on_top(stage, rng.uniform(-0.4, 0.4) * room.width, rng.uniform(-0.4, 0.4) * room.depth, 0.0)
+
+
+def hang_shelf(stage: Stage, room: Room, wall: int) -> None:
+    """Fix boards with things on them to a wall."""
+    rng = stage.rng
+    board = rng.choice((mat.wood, mat.plastic))(rng)
+    half = min(rng.uniform(0.4, 1.2), wall_length(room, wall) * 0.4)
+    middle = rng.uniform(-1, 1) * (wall_length(room, wall) / 2 - half)
+    for level in range(rng.randint(1, 3)):
+        z = 1.25 + 0.35 * level
+        slab(stage, room, wall, middle - half, middle + half, z - 0.025, z, 0.0, 0.24, board)
+        for _ in range(rng.randint(2, 7)):
+            x, y = wall_point(room, wall, middle + rng.uniform(-0.9, 0.9) * half, 0.12)
+            clutter.on_top(stage, x, y, z)
 
 
 def hang_pictures(stage: Stage, room: Room, count: int, mirrors: float = 0.25) -> None:
@@ -295,12 +328,7 @@ def hang_pictures(stage: Stage, room: Room, count: int, mirrors: float = 0.25) -
         if stage.chance(mirrors):
             face = mat.mirror(rng)
         else:
-            face = mat.texture_color(
-                mat.diffuse(rng),
-                rng,
-                [mat.random_color(rng, 0.9) for _ in range(4)],
-                log_uniform(rng, 2, 20),
-            )
+            face = textures.picture_material(stage)
         b = 0.03
         slab(
             stage,
@@ -316,12 +344,22 @@ def hang_pictures(stage: Stage, room: Room, count: int, mirrors: float = 0.25) -
         )
 
 
-def daylight(stage: Stage) -> None:
-    """Put a sky or an environment picture outside."""
+def daylight(stage: Stage, room: Room) -> None:
+    """Put a sky or an environment picture outside, and what artists put into windows to help it in."""
+    rng = stage.rng
     if stage.chance(0.65):
         lights.sky_world(stage, (8, 50))
     else:
-        lights.hdri_world(stage, log_uniform(stage.rng, 1, 4))
+        lights.hdri_world(stage, log_uniform(rng, 1, 4), outdoor=True)
+    helper = rng.choice((None, "portal", "portal", "lamp"))
+    color = mat.blackbody(rng, 5500, 8000)
+    for wall, center, sill, width, height in room.windows if helper else ():
+        x, y = wall_point(room, wall, center, -WALL - 0.05)
+        spot = Vector((x, y, sill + height / 2))
+        ahead = Vector((*wall_point(room, wall, center, 1.0), sill + height / 2))
+        power = 25 * width * height
+        light = lights.lamp(stage, "AREA", spot, power, ahead, color, width, height)
+        light.data.cycles.is_portal = helper == "portal"
 
 
 @family("room_day")
@@ -329,10 +367,11 @@ def room_day(stage: Stage) -> ShotMaker:
     """A furnished room that gets its light through windows."""
     rng = stage.rng
     room = make_room(stage, rng.choice((1, 1, 2, 2, 3)))
-    furnish(stage, room, rng.randint(4, 12))
-    hang_pictures(stage, room, rng.randint(0, 4))
+    furnish(stage, room, rng.randint(5, 14))
+    hang_pictures(stage, room, rng.randint(0, 5))
+    dwell(stage, room)
     objects.plane(stage, 200, mat.diffuse(rng), -0.3)
-    daylight(stage)
+    daylight(stage, room)
     if stage.chance(0.3):
         lights.lamp(stage, "AREA", (0, 0, room.height - 0.05), 60, (0, 0, 0), size=0.5)
     return inside(room.low, room.high)
@@ -343,8 +382,9 @@ def room_lamps(stage: Stage) -> ShotMaker:
     """A furnished room in the evening: many lamps, shades, strips and candles."""
     rng = stage.rng
     room = make_room(stage, rng.choice((0, 1)))
-    placed = furnish(stage, room, rng.randint(4, 11))
-    hang_pictures(stage, room, rng.randint(0, 4))
+    placed = furnish(stage, room, rng.randint(5, 12))
+    hang_pictures(stage, room, rng.randint(0, 5))
+    dwell(stage, room)
     lights.gradient_world(stage, log_uniform(rng, 0.002, 0.05))
     if stage.chance(0.6):
         ceiling_lights(stage, room)

@@ -11,14 +11,24 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
+from training import assets
 from training.scenes.core import Stage, log_uniform
 from training.scenes.materials import Color, blackbody, rgba
 
-#: Environment pictures of Blender itself (CC0), by split.
-HDRIS = {
-    "train": ("city", "forest", "interior", "night", "studio", "sunset"),
-    "val": ("courtyard", "sunrise"),
-}
+#: Places that only validation scenes are lit by, from whichever source.
+_VAL_PLACES = {"courtyard", "sunrise", "lobby", "venice", "bridge", "workshop"}
+_INDOOR_PLACES = {"interior", "studio", "apartment", "hall", "lab", "lobby", "warehouse", "workshop"}
+
+
+def environment_pictures(split: str, outdoor: bool = False) -> dict[str, list[Path]]:
+    """Return the environment pictures of a split by place: Blender's own and those of the asset package."""
+    own = Path(bpy.utils.system_resource("DATAFILES")) / "studiolights" / "world"
+    places: dict[str, list[Path]] = {}
+    for path in (*sorted(own.glob("*.exr")), *assets.environments()):
+        held_out = path.stem in _VAL_PLACES
+        if held_out == (split == "val") and not (outdoor and path.stem in _INDOOR_PLACES):
+            places.setdefault(path.stem, []).append(path)
+    return places
 
 
 def lamp(
@@ -86,21 +96,21 @@ def gradient_world(stage: Stage, strength: float = 1.0) -> None:
     background.inputs["Strength"].default_value = strength
 
 
-def hdri_world(stage: Stage, strength: float | None = None, name: str | None = None) -> str:
-    """Light the scene by an environment picture turned at random; return its name."""
-    name = name or stage.rng.choice(HDRIS[stage.split])
-    folder = Path(bpy.utils.system_resource("DATAFILES")) / "studiolights" / "world"
+def hdri_world(stage: Stage, strength: float | None = None, place: str | None = None, outdoor: bool = False) -> None:
+    """Light the scene by an environment picture turned at random; any place where the wanted one is not to be had."""
+    rng = stage.rng
+    places = environment_pictures(stage.split, outdoor)
+    path = rng.choice(places[place if place in places else rng.choice(sorted(places))])
     tree, background = _world_nodes(stage)
     source = tree.nodes.new("ShaderNodeTexCoord")
     mapping = tree.nodes.new("ShaderNodeMapping")
     picture = tree.nodes.new("ShaderNodeTexEnvironment")
-    picture.image = bpy.data.images.load(str(folder / f"{name}.exr"))
-    mapping.inputs["Rotation"].default_value = (0, 0, stage.rng.uniform(0, 2 * math.pi))
+    picture.image = bpy.data.images.load(str(path))
+    mapping.inputs["Rotation"].default_value = (0, 0, rng.uniform(0, 2 * math.pi))
     tree.links.new(source.outputs["Generated"], mapping.inputs["Vector"])
     tree.links.new(mapping.outputs["Vector"], picture.inputs["Vector"])
     tree.links.new(picture.outputs["Color"], background.inputs["Color"])
-    background.inputs["Strength"].default_value = strength or log_uniform(stage.rng, 0.4, 2.0)
-    return name
+    background.inputs["Strength"].default_value = strength or log_uniform(rng, 0.4, 2.0)
 
 
 def sky_world(stage: Stage, elevation: tuple[float, float] = (4, 65), strength: float = 0.3) -> float:
@@ -116,7 +126,8 @@ def sky_world(stage: Stage, elevation: tuple[float, float] = (4, 65), strength: 
     sky.sun_size = math.radians(log_uniform(stage.rng, 0.3, 4.0))
     sky.sun_disc = stage.chance(0.8)
     sky.air_density = stage.rng.uniform(0.6, 2.5)
-    sky.dust_density = stage.rng.uniform(0.2, 4.0)
+    dust = stage.rng.uniform(0.2, 4.0)
+    setattr(sky, "dust_density" if hasattr(sky, "dust_density") else "aerosol_density", dust)
     sky.sun_intensity = stage.rng.uniform(0.4, 1.0)
     tree.links.new(sky.outputs["Color"], background.inputs["Color"])
     background.inputs["Strength"].default_value = strength

@@ -76,9 +76,13 @@ def coordinates(tree: NodeTree, rng: random.Random, scale: float, kind: str | No
     return mapping.outputs["Vector"]
 
 
+#: Bold patterns are rare: most surfaces are uneven rather than striped.
+_PATTERNS = ("noise",) * 6 + ("voronoi",) * 3 + ("cells", "wave", "checker", "brick", "rings", "magic")
+
+
 def pattern(tree: NodeTree, rng: random.Random, scale: float, kinds: Sequence[str] = ()) -> Socket:
     """Return a value between about 0 and 1 from a random procedural texture."""
-    kind = rng.choice(kinds or ("noise", "noise", "voronoi", "cells", "wave", "rings", "checker", "brick", "magic"))
+    kind = rng.choice(kinds or _PATTERNS)
     vector = coordinates(tree, rng, scale)
     if kind == "noise":
         node = tree.nodes.new("ShaderNodeTexNoise")
@@ -124,7 +128,7 @@ def pattern(tree: NodeTree, rng: random.Random, scale: float, kinds: Sequence[st
 def ramp(tree: NodeTree, rng: random.Random, value: Socket, colors: Sequence[Color]) -> Socket:
     """Return a colour picked along a ramp by a value; hard steps now and then."""
     node = tree.nodes.new("ShaderNodeValToRGB")
-    node.color_ramp.interpolation = rng.choice(("LINEAR", "LINEAR", "EASE", "CONSTANT"))
+    node.color_ramp.interpolation = rng.choice(("LINEAR", "LINEAR", "EASE", "EASE", "CONSTANT"))
     elements = node.color_ramp.elements
     while len(elements) < len(colors):
         elements.new(0.5)
@@ -146,11 +150,15 @@ def map_range(tree: NodeTree, value: Socket, low: float, high: float) -> Socket:
 
 
 def texture_color(
-    material: Material, rng: random.Random, colors: Sequence[Color], scale: float | None = None
+    material: Material,
+    rng: random.Random,
+    colors: Sequence[Color],
+    scale: float | None = None,
+    kinds: Sequence[str] = (),
 ) -> Material:
     """Drive the base colour (and sometimes roughness) by a procedural pattern."""
     tree, shader = material.node_tree, principled_of(material)
-    value = pattern(tree, rng, scale or log_uniform(rng, 2, 60))
+    value = pattern(tree, rng, scale or log_uniform(rng, 2, 60), kinds)
     tree.links.new(ramp(tree, rng, value, colors), shader.inputs["Base Color"])
     if rng.random() < 0.3:
         rough = shader.inputs["Roughness"].default_value
@@ -465,7 +473,7 @@ def stone(rng: random.Random, color: Color | None = None) -> Material:
     color = color or mix_color(warm_color(rng), (0.5, 0.5, 0.5), rng.uniform(0.3, 1.0))
     material = new_material("stone", Base_Color=rgba(color), Roughness=rng.choice((0.1, 0.4, 0.8, 0.95)))
     dark = mix_color(color, (0, 0, 0), rng.uniform(0.2, 0.6))
-    texture_color(material, rng, (dark, color), log_uniform(rng, 2, 30))
+    texture_color(material, rng, (dark, color), log_uniform(rng, 2, 30), ("noise", "noise", "voronoi"))
     if rng.random() < 0.6:
         add_bump(material, rng, log_uniform(rng, 5, 80), ("noise", "voronoi", "cells"))
     return material

@@ -212,8 +212,7 @@ def daylight(stage: Stage) -> None:
     if stage.chance(0.6):
         lights.sky_world(stage)
     else:
-        names = [n for n in lights.HDRIS[stage.split] if n not in ("interior", "studio")]
-        lights.hdri_world(stage, None, stage.rng.choice(names))
+        lights.hdri_world(stage, outdoor=True)
 
 
 def lawn(stage: Stage, radius: float, count: int, length: float) -> None:

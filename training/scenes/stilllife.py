@@ -10,7 +10,7 @@ import bpy
 from mathutils import Vector
 
 from training.assets import Furniture
-from training.scenes import lights, objects
+from training.scenes import clutter, lights, objects
 from training.scenes import materials as mat
 from training.scenes.core import ShotMaker, Stage, family, log_uniform, orbit
 
@@ -67,6 +67,8 @@ def still_life(stage: Stage) -> ShotMaker:
     top = rng.choice((mat.wood, mat.wood, mat.cloth, mat.stone, mat.tiles, mat.plastic))(rng)
     objects.box(stage, (-1.2, -0.8, -0.05), (1.2, 0.8, 0), top, 0.01)
     arrange(stage, rng.randint(4, 16), rng.uniform(0.15, 0.35))
+    for _ in range(rng.randint(0, 6)):
+        clutter.on_top(stage, rng.gauss(0, 0.35), rng.gauss(0.1, 0.3), 0.0)
     if stage.chance(0.5):
         objects.box(stage, (-4, 0.8, -1), (4, 0.9, 3), mat.pick(rng, mat.DULL))
     objects.plane(stage, 30, mat.pick(rng, mat.DULL), -0.8)
@@ -114,7 +116,7 @@ def product(stage: Stage) -> ShotMaker:
     """One to three products on a seamless backdrop, lit by softboxes and strips."""
     rng = stage.rng
     shade = rng.choice((0.8, 0.8, 0.5, 0.18, 0.04))
-    color = (shade,) * 3 if stage.chance(0.6) else mat.random_color(rng, 0.7)
+    color = (shade,) * 3 if stage.chance(0.6) else mat.mix_color(mat.random_color(rng, 0.5), (0.6,) * 3, 0.5)
     paper = mat.new_material("paper", Base_Color=mat.rgba(color), Roughness=rng.choice((0.05, 0.25, 0.6, 0.9)))
     item = objects.choose(stage, THINGS + ("Lights", "Vehicles", "Exterior"), small(2.5, 0.08))
     radius = 0.3
@@ -129,9 +131,12 @@ def product(stage: Stage) -> ShotMaker:
             obj = objects.add_mesh(stage, "product", mesh, mat.pick(rng))
             objects.place(obj, index * 0.28 - 0.3, rng.gauss(0, 0.06), 0, rng.uniform(-3, 3))
             objects.rest(obj)
+    for _ in range(rng.choice((0, 1, 3, 6))):
+        angle, far = rng.uniform(0, 6.3), radius * rng.uniform(0.6, 1.4)
+        clutter.on_top(stage, far * math.cos(angle), far * math.sin(angle), 0.0)
     cyclorama(stage, paper, radius * 4)
     if stage.chance(0.3):
-        lights.hdri_world(stage, 0.4, "studio" if stage.split == "train" else None)
+        lights.hdri_world(stage, 0.4, "studio")
     else:
         lights.gradient_world(stage, rng.uniform(0.01, 0.15))
     lights.softboxes(stage, Vector((0, 0, radius * 0.5)), radius * 3, rng.randint(1, 4), 30)
