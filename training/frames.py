@@ -270,7 +270,7 @@ def whole_picture_fault(preview: np.ndarray) -> str:
     if light.max() <= 1e-6:
         return "black"
     # Where most samples find no light at all, an artist would light the scene in another way.
-    if (light[alpha > 0.5] <= 1e-6).mean() > 0.5:
+    if (light[alpha > 0.5] <= 1e-6).mean() > 0.65:
         return "hardly lit"
     return ""
 

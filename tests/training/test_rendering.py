@@ -109,7 +109,7 @@ def test_whole_pictures_that_are_useless(frames) -> None:
     assert frames.whole_picture_fault(good) == ""
     assert frames.whole_picture_fault(0 * good) == "nothing to see"
     unlit = good.copy()
-    unlit[pass_slice("Combined")][:3, :, :40] = 0
+    unlit[pass_slice("Combined")][:3, :, :48] = 0
     assert frames.whole_picture_fault(unlit) == "hardly lit"
     close = good.copy()
     close[pass_slice("Depth")] = 0.05
