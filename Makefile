@@ -226,6 +226,18 @@ $(VENV)/stamp-%: scripts/requirements-%.txt
 	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check -r $<
 	@touch $@
 
+# ---- Python package ---------------------------------------------------------------------------------------------------
+
+WHEEL := $(OUT)/wheel
+
+# The wheel, and beside it in site/ what installing it leaves, for tests.
+$(WHEEL)/stamp: $(SHARED_LIB) scripts/build_wheel.py $(wildcard python/* python/quell/*.py) $(VENV)/stamp-wheel
+	$(call say,WHEEL,quell)
+	$(Q)rm -rf $(WHEEL)
+	$(Q)$(PYTHON) scripts/build_wheel.py --library $(SHARED_LIB) --third-party $(OPENEXR)/LICENSES --out $(WHEEL) >/dev/null
+	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --target $(WHEEL)/site $(WHEEL)/*.whl
+	@touch $@
+
 # ---- Targets ----------------------------------------------------------------------------------------------------------
 
 ## all: the library and the tool (the default)
@@ -237,6 +249,9 @@ lib: $(SHARED_LIB) $(STATIC_LIB)
 ## cli: the quell tool
 cli: $(CLI) $(OIIO_MODULE)
 
+## wheel: the Python package with the library inside, build/<config>/wheel/*.whl
+wheel: $(WHEEL)/stamp
+
 ## c-tests: build the C test programs without running them
 c-tests: $(TESTS)
 
@@ -246,7 +261,7 @@ check: syntax $(TESTS)
 
 ## test: install what tests need, build, and run every test
 test: deps-test
-	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) wheel $(VENV)/stamp-test
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests $(PYTEST_FLAGS)
 
 ## test-long: the tests, and again under the address, undefined-behaviour and thread sanitizers
@@ -318,13 +333,13 @@ FORMATTED := $(wildcard include/*.h src/*/*.[ch] src/*/*.cpp tests/*/*.[ch] samp
 ## format: reformat the C, C++ and Python sources in place
 format:
 	$(Q)clang-format -i $(FORMATTED)
-	$(Q)if command -v ruff >/dev/null; then ruff format scripts tests bench training; fi
+	$(Q)if command -v ruff >/dev/null; then ruff format scripts tests bench training python blender_addon; fi
 
 ## lint: the arrows between folders, warnings as errors, and the formatting
 lint: syntax
 	$(Q)python3 tests/check_includes.py
 	$(Q)clang-format --dry-run -Werror $(FORMATTED)
-	$(Q)if command -v ruff >/dev/null; then ruff check scripts tests bench training; fi
+	$(Q)if command -v ruff >/dev/null; then ruff check scripts tests bench training python blender_addon; fi
 
 # Warnings are errors here and only here: a new compiler's warning must not break somebody's build.
 SYNTAX := $(filter-out $(WEIGHTS),$(LIB_SOURCES:%=$(OBJ)/%.syntax))
@@ -346,6 +361,6 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: all lib cli c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
+.PHONY: all lib cli wheel c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
 	deps-bench install dist format lint syntax clean distclean help FORCE
 .SECONDARY:
