@@ -238,6 +238,14 @@ $(WHEEL)/stamp: $(SHARED_LIB) scripts/build_wheel.py $(wildcard python/* python/
 	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --target $(WHEEL)/site $(WHEEL)/*.whl
 	@touch $@
 
+ADDON := $(OUT)/addon
+
+$(ADDON)/stamp: $(WHEEL)/stamp scripts/build_addon.py $(shell find blender_addon -name '*.py' -o -name '*.toml' -o -name '*.md')
+	$(call say,ADDON,quell)
+	$(Q)rm -rf $(ADDON)
+	$(Q)$(PYTHON) scripts/build_addon.py --wheel $(WHEEL)/*.whl --out $(ADDON) >/dev/null
+	@touch $@
+
 # ---- Targets ----------------------------------------------------------------------------------------------------------
 
 ## all: the library and the tool (the default)
@@ -251,6 +259,9 @@ cli: $(CLI) $(OIIO_MODULE)
 
 ## wheel: the Python package with the library inside, build/<config>/wheel/*.whl
 wheel: $(WHEEL)/stamp
+
+## addon: the Blender add-on: an extension (4.2 and later) and a legacy zip (3.4 to 4.1) in build/<config>/addon
+addon: $(ADDON)/stamp
 
 ## c-tests: build the C test programs without running them
 c-tests: $(TESTS)
@@ -361,6 +372,6 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: all lib cli wheel c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
+.PHONY: all lib cli wheel addon c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
 	deps-bench install dist format lint syntax clean distclean help FORCE
 .SECONDARY:

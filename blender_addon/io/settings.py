@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the user chose, as plain values that any thread may read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REPLACE = "REPLACE"  # the result takes the place of the noisy passes
+ADD_PASS = "PASS"  # the result is a pass of its own, all others stay
+
+PASS_NAME = "Quell"
+NOISY_NAME = "Noisy Image"  # Cycles' own name for it
+
+
+@dataclass(frozen=True)
+class Settings:
+    model: str = ""  # "" is the library's default
+    layers: str = "all"  # "all", "beauty", or names, comma-separated
+    keep_noisy: bool = False
+    target: str = REPLACE
+    threads: int = 0  # 0: one per core
+    max_memory_bytes: int = 0  # 0: the library's default
