@@ -42,10 +42,10 @@ def has_denoise_node(scene: bpy.types.Scene) -> bool:
 
 
 def use_result(scene: bpy.types.Scene, image: bpy.types.Image) -> int:
-    """Returns how many links now come from the image. Raises Problem."""
+    """Returns how many links come from the image now, those of an earlier call included. Raises Problem."""
     tree = node_tree(scene, create=True)
     _ = tuple(image.size)  # loads it: only then does it know its layers
-    moved = 0
+    num_links = 0
     for node in [node for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"]:
         if node.scene not in (scene, None):
             continue
@@ -54,13 +54,12 @@ def use_result(scene: bpy.types.Scene, image: bpy.types.Image) -> int:
             source = picture.outputs.get("Combined" if output.name == "Image" else output.name)
             if source is None or not source.enabled:
                 continue
-            for link in list(output.links):
-                target = link.to_socket
+            for target in [link.to_socket for link in output.links]:
                 tree.links.new(source, target)
-                moved += 1
-    if not moved:
+        num_links += sum(len(source.links) for source in picture.outputs)
+    if not num_links:
         raise Problem("No render layers of this scene are linked in the compositor: nothing to put the result in for.")
-    return moved
+    return num_links
 
 
 def _image_node(tree: bpy.types.NodeTree, layers: bpy.types.Node, image: bpy.types.Image) -> bpy.types.Node:
@@ -90,12 +89,12 @@ class QUELL_OT_use_in_compositor(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            moved = use_result(context.scene, bpy.data.images[images.RESULT])
+            num_links = use_result(context.scene, bpy.data.images[images.RESULT])
         except Problem as error:
             state.set_error(str(error))
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{moved} links in the compositor use the denoised result")
+        self.report({"INFO"}, f"{num_links} links in the compositor use the denoised result")
         return {"FINISHED"}
 
 

@@ -40,6 +40,11 @@ def denoises(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bool:
     return bool(scene.cycles.use_denoising and view_layer.cycles.use_denoising)
 
 
+def denoised_layers(scene: bpy.types.Scene) -> frozenset[str]:
+    """Names of the view layers that Cycles' own denoiser runs on."""
+    return frozenset(layer.name for layer in scene.view_layers if denoises(scene, layer))
+
+
 def samples(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> int:
     """Samples per pixel, as Cycles writes them into its files' metadata."""
     own = view_layer.samples

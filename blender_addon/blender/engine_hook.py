@@ -13,20 +13,22 @@ from __future__ import annotations
 
 import contextlib
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..io import library, memory
-from ..io.settings import ADD_PASS, PASS_NAME, Settings
+from ..io.settings import ADD_PASS, KEPT_NAME, PASS_NAME, Settings
 from . import cycles_settings, properties, state
 
 if TYPE_CHECKING:
     import numpy as np
 
 _METHODS = ("render", "render_frame_finish", "update_render_passes")
+
+_ENGINE_FUNCTIONS = ("get_result", "add_pass", "register_pass", "test_break", "update_progress")
 
 _originals: dict[str, Callable[..., Any]] = {}
 _is_active = False
@@ -63,10 +65,12 @@ def problem() -> str:
     engine = _engine_class()
     if engine is None:
         return "The Cycles add-on is not enabled."
-    for owner, names in ((engine, _METHODS), (bpy.types.RenderEngine, ("get_result", "add_pass", "test_break"))):
-        for name in names:
-            if not callable(getattr(owner, name, None)):
-                return f"This version of Cycles has no {name}."
+    for name in _METHODS:
+        if not callable(getattr(engine, name, None)):
+            return f"This version of Cycles has no {name}."
+    for name in _ENGINE_FUNCTIONS:
+        if name not in bpy.types.RenderEngine.bl_rna.functions:
+            return f"This version of Blender's render engines has no {name}."
     return _runtime_problem
 
 
@@ -83,7 +87,7 @@ def _engine_class() -> type | None:
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
     if _is_active:
-        with _contained():
+        with _contained(engine):
             _note(engine, depsgraph)
     _originals["render"](engine, depsgraph)
 
@@ -93,7 +97,7 @@ def _render_frame_finish(engine: bpy.types.RenderEngine) -> None:
     rendering = _renderings.pop(engine.as_pointer(), None)
     if rendering is None or engine.is_preview or engine.test_break():
         return
-    with _contained():
+    with _contained(engine, rendering):
         _denoise(engine, rendering)
 
 
@@ -103,14 +107,14 @@ def _update_render_passes(
     _originals["update_render_passes"](engine, scene, view_layer)
     if not _is_active:
         return
-    with _contained():
+    with _contained(engine):
         settings = scene.quell
         if settings.enabled and settings.target == ADD_PASS and settings.output != properties.OUTPUT_FILE:
             engine.register_pass(scene, view_layer, PASS_NAME, 4, "RGBA", "COLOR")
 
 
 @contextlib.contextmanager
-def _contained() -> Any:
+def _contained(engine: bpy.types.RenderEngine, rendering: _Rendering | None = None) -> Iterator[None]:
     """Keeps every exception from the render. The traceback goes to the console for a bug report.
 
     No name may hold the exception afterwards: its frames would keep the engine alive beyond its render.
@@ -119,6 +123,8 @@ def _contained() -> Any:
         yield
     except Exception as error:
         _report(error)
+        if rendering is not None and rendering.settings.target == ADD_PASS:
+            _fill_own_pass(engine)
 
 
 def _report(error: Exception) -> None:
@@ -142,7 +148,7 @@ def _fail(sentence: str) -> None:
 
     _end_frame(is_denoised=False)
     state.set_error(sentence)
-    handlers.journal().failed(handlers.current_frame(), sentence)
+    handlers.record_failure(sentence)
 
 
 def begin_frame() -> None:
@@ -169,9 +175,13 @@ def _note(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> Non
     view_layer = depsgraph.view_layer
     key = engine.as_pointer()
     rendering = _renderings.get(key) or _renderings.setdefault(key, _Rendering(scene.quell.to_plain()))
-    rendering.layers[view_layer.name] = _LayerFacts(
-        cycles_settings.samples(scene, view_layer), cycles_settings.denoises(scene, view_layer)
-    )
+    facts = _LayerFacts(cycles_settings.samples(scene, view_layer), cycles_settings.denoises(scene, view_layer))
+    rendering.layers[view_layer.name] = facts
+    # Only passes that are there before Cycles begins get memory for their pixels.
+    if rendering.settings.target == ADD_PASS:
+        engine.add_pass(PASS_NAME, 4, "RGBA", layer=view_layer.name)
+    elif rendering.settings.keep_noisy and not facts.is_denoised:
+        engine.add_pass(KEPT_NAME, 4, "RGBA", layer=view_layer.name)
 
 
 def _denoise(engine: bpy.types.RenderEngine, rendering: _Rendering) -> None:
@@ -183,12 +193,12 @@ def _denoise(engine: bpy.types.RenderEngine, rendering: _Rendering) -> None:
     size = (result.resolution_x, result.resolution_y)
     state.set_running("Denoising")
     outcome, noisy = memory.denoise_layers(
-        _layers(engine, result, rendering), size, rendering.settings, lambda fraction: _progress(engine, fraction)
+        _layers(result, rendering), size, rendering.settings, lambda fraction: _progress(engine, fraction)
     )
     _end_frame(is_denoised=True)
     state.set_before(noisy)
     state.set_outcome(outcome)
-    handlers.journal().done(handlers.current_frame(), outcome)
+    handlers.record(outcome)
 
 
 def _progress(engine: bpy.types.RenderEngine, fraction: float) -> bool:
@@ -196,9 +206,7 @@ def _progress(engine: bpy.types.RenderEngine, fraction: float) -> bool:
     return engine.test_break()
 
 
-def _layers(
-    engine: bpy.types.RenderEngine, result: bpy.types.RenderResult, rendering: _Rendering
-) -> list[memory.RenderLayer]:
+def _layers(result: bpy.types.RenderResult, rendering: _Rendering) -> list[memory.RenderLayer]:
     """Every view of every view layer, with readers and writers of its passes."""
     views = [view.name for view in result.views] or [""]
     size = (result.resolution_x, result.resolution_y)
@@ -223,9 +231,7 @@ def _layers(
                     samples=facts.samples,
                     is_denoised=facts.is_denoised,
                     passes=passes,
-                    add=lambda name, pixels, layer=layer.name, view_id=view_id: _add(
-                        engine, layer, view_id, name, pixels
-                    ),
+                    fill=lambda name, pixels, layer=layer, view_id=view_id: _fill(layer, view_id, name, pixels),
                 )
             )
     return layers
@@ -254,24 +260,24 @@ def _write(render_pass: bpy.types.RenderPass, pixels: np.ndarray) -> None:
         render_pass.rect.foreach_set(flat.reshape(-1, render_pass.channels))
 
 
-def _add(engine: bpy.types.RenderEngine, layer: str, view_id: int, name: str, pixels: np.ndarray) -> None:
-    """Makes the pass (for all views, the first time) and fills it for this view."""
-    found = _find(engine, layer, view_id, name)
-    if found is None:
-        engine.add_pass(name, 4, "RGBA", layer=layer)
-        found = _find(engine, layer, view_id, name)
-    if found is None:
-        raise library.Problem(f"Blender did not add the pass '{name}' to the view layer '{layer}'.")
-    _write(found, pixels)
+def _fill(layer: bpy.types.RenderLayer, view_id: int, name: str, pixels: np.ndarray) -> None:
+    """Fills a pass that _note added."""
+    for render_pass in layer.passes:
+        if render_pass.name == name and render_pass.view_id == view_id:
+            _write(render_pass, pixels)
+            return
+    raise library.Problem(f"Blender did not add the pass '{name}' to the view layer '{layer.name}'.")
 
 
-def _find(engine: bpy.types.RenderEngine, layer: str, view_id: int, name: str) -> bpy.types.RenderPass | None:
-    for candidate in engine.get_result().layers:
-        if candidate.name == layer:
-            for render_pass in candidate.passes:
-                if render_pass.name == name and render_pass.view_id == view_id:
-                    return render_pass
-    return None
+def _fill_own_pass(engine: bpy.types.RenderEngine) -> None:
+    """The noisy picture, where there is no better one: a compositor that uses the pass must not get black."""
+    result = engine.get_result()
+    size = (result.resolution_x, result.resolution_y)
+    for layer in result.layers:
+        noisy = {p.view_id: p for p in layer.passes if p.name == "Combined"}
+        for render_pass in layer.passes:
+            if render_pass.name == PASS_NAME and render_pass.view_id in noisy:
+                _write(render_pass, _read(noisy[render_pass.view_id], size))
 
 
 # ---- Install -------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..io import files, library, memory
+from ..io import files, library
 from ..io.journal import EXIT_FAILED, Journal
 from ..io.outcome import Outcome
 from . import cycles_settings, engine_hook, exr_save, preferences, properties, state
@@ -29,22 +29,26 @@ _started = 0.0
 _is_pending = False  # the frame is rendered, and not yet seen to
 
 
-def journal() -> Journal:
-    return _journal
+def record(outcome: Outcome) -> None:
+    """Notes that the present frame is done."""
+    _journal.done(_frame, outcome)
 
 
-def current_frame() -> int:
-    return _frame
+def record_failure(sentence: str) -> None:
+    """Notes that the present frame could not be denoised; a batch run then ends with an exit code that says so."""
+    _journal.failed(_frame, sentence)
+    # Blender disables add-ons before it ends, so this stays when the add-on goes. Not in the bpy module: there the
+    # process is its host's.
+    if bpy.app.background and bpy.app.binary_path and not getattr(bpy.app, "module", False):
+        atexit.unregister(_exit_with_failure)
+        atexit.register(_exit_with_failure)
 
 
 @persistent
 def _on_init(_scene: bpy.types.Scene, *_: object) -> None:
     global _journal
     machine = preferences.get()
-    path = os.environ.get("QUELL_JOURNAL") or (bpy.path.abspath(machine.journal) if machine else "")
-    failed = _journal.num_failed
-    _journal = Journal(path)
-    _journal.num_failed = failed  # of the whole process, for its exit code
+    _journal = Journal(os.environ.get("QUELL_JOURNAL") or (bpy.path.abspath(machine.journal) if machine else ""))
 
 
 @persistent
@@ -107,10 +111,10 @@ def _see_to(scene: bpy.types.Scene) -> None:
         outcome = denoise_render_result(scene, output_path(scene, written), written)
     except Exception as error:  # an exception of a handler would only be printed
         state.set_error(str(error))
-        _journal.failed(_frame, str(error))
+        record_failure(str(error))
     else:
         state.set_outcome(outcome)
-        _journal.done(_frame, outcome)
+        record(outcome)
 
 
 def _save_denoised(scene: bpy.types.Scene) -> None:
@@ -129,25 +133,18 @@ def output_path(scene: bpy.types.Scene, written: Path | None = None) -> Path:
 
 def denoise_render_result(scene: bpy.types.Scene, output: Path, written: Path | None = None) -> Outcome:
     """Denoises the render into `output`: from the file Blender wrote, or one that is written for this. Raises."""
-    check_not_denoised(scene)
+    denoised = cycles_settings.denoised_layers(scene)
     plain = properties.file_settings(scene)
     if written is not None:
-        return files.denoise_file(written, output, plain, lambda _fraction: None)
+        return files.denoise_file(written, output, plain, lambda _fraction: None, denoised_layers=denoised)
     with tempfile.TemporaryDirectory(prefix="quell") as folder:
         source = Path(folder) / "render.exr"
         start = time.perf_counter()
         exr_save.save_render_result(scene, source)
         saved = time.perf_counter() - start
-        outcome = files.denoise_file(source, output, plain, lambda _fraction: None, codec="zip")
+        outcome = files.denoise_file(source, output, plain, lambda _fraction: None, "zip", denoised)
     outcome.add_seconds("save", saved)
     return outcome
-
-
-def check_not_denoised(scene: bpy.types.Scene) -> None:
-    """Raises Problem where Cycles denoises and keeps no noisy picture."""
-    for view_layer in scene.view_layers:
-        if cycles_settings.denoises(scene, view_layer) and not view_layer.cycles.denoising_store_passes:
-            raise library.Problem(memory.already_denoised(view_layer.name))
 
 
 def written_multilayer(scene: bpy.types.Scene, since: float) -> Path | None:
@@ -164,11 +161,10 @@ def written_multilayer(scene: bpy.types.Scene, since: float) -> Path | None:
 
 
 def _exit_with_failure() -> None:
-    """Blender's exit code stays 0 when a handler fails; a batch run's must not."""
-    if _journal.num_failed:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(EXIT_FAILED)
+    """Blender's own exit code stays 0 when a handler fails."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(EXIT_FAILED)
 
 
 _HANDLERS = {
@@ -184,13 +180,9 @@ _HANDLERS = {
 def register() -> None:
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
-    # Not in the bpy module: there the process is its host's.
-    if bpy.app.background and not getattr(bpy.app, "module", False) and bpy.app.binary_path:
-        atexit.register(_exit_with_failure)
 
 
 def unregister() -> None:
-    atexit.unregister(_exit_with_failure)
     for name, handler in _HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if handler in handlers:

@@ -85,7 +85,7 @@ class QuellSettings(bpy.types.PropertyGroup):
     )
     keep_noisy: bpy.props.BoolProperty(
         name="Keep Noisy Image",
-        description="Keep the picture as it was rendered, as the pass Noisy Image",
+        description="Keep the picture as it was rendered: as the pass Quell Noisy in the render, Noisy Image in a file",
         default=False,
     )
     target: bpy.props.EnumProperty(

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from ..io import files, library
-from . import engine_hook, exr_save, handlers, images, job_operator, properties, state
+from . import cycles_settings, engine_hook, exr_save, handlers, images, job_operator, properties, state
 
 
 class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
@@ -35,7 +35,7 @@ class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
             raise library.Problem("Quell denoises renders made with Cycles; this scene uses another render engine.")
         if engine_hook.is_frame_denoised:
             raise library.Problem("This render is denoised already.")
-        handlers.check_not_denoised(scene)
+        denoised = cycles_settings.denoised_layers(scene)
         settings = properties.file_settings(scene)
         output = handlers.output_path(scene)
         if not output.parent.is_dir():
@@ -45,7 +45,7 @@ class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
         exr_save.save_render_result(scene, source)
 
         def work(progress: Callable[[float], bool]) -> tuple[Path, Any, Any]:
-            outcome = files.denoise_file(source, output, settings, progress, codec="zip")
+            outcome = files.denoise_file(source, output, settings, progress, "zip", denoised)
             return output, outcome, files.picture_behind_composite(output)
 
         return work

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .library import Problem, quell
+from .library import Problem, already_denoised, quell
 from .outcome import Outcome
 from .settings import Settings
 
@@ -59,15 +59,28 @@ def is_finished(source: Path, output: Path) -> bool:
     return output.stat().st_mtime_ns >= source.stat().st_mtime_ns
 
 
-def denoise_file(source: Path, output: Path, settings: Settings, progress: Progress, codec: str = "keep") -> Outcome:
-    """Denoises one multilayer EXR into another, or in place. Raises Problem and the library's errors."""
+def denoise_file(
+    source: Path,
+    output: Path,
+    settings: Settings,
+    progress: Progress,
+    codec: str = "keep",
+    denoised_layers: frozenset[str] = frozenset(),
+) -> Outcome:
+    """Denoises one multilayer EXR into another, or in place. Raises Problem and the library's errors.
+
+    denoised_layers: view layers that are known to be denoised already, so that they must bring a noisy picture.
+    """
     outcome = Outcome()
     with quell().Context(threads=settings.threads, max_memory_bytes=settings.max_memory_bytes) as context:
         start = time.perf_counter()
         with context.open_model(settings.model) as model, context.read_exr(source) as frame:
             read = time.perf_counter()
             outcome.add_seconds("read", read - start)
-            outcome.add_guides_note({layer.role for layer in frame.layers})
+            layers = frame.layers
+            for name in denoised_layers - {layer.view_layer for layer in layers if layer.role == "noisy-image"}:
+                raise Problem(already_denoised(name))
+            outcome.add_guides_note({layer.role for layer in layers})
             report = context.denoise(
                 frame, model, layers=settings.layers, keep_noisy=settings.keep_noisy, progress=progress
             )

@@ -13,11 +13,10 @@ EXIT_FAILED = 1
 
 
 class Journal:
-    """Counts failures; writes lines to the file that `path` names, if any. Printing failures is its job too."""
+    """Writes lines to the file that `path` names, if any. Failures are printed too."""
 
     def __init__(self, path: str = "") -> None:
         self.path = Path(path) if path else None
-        self.num_failed = 0
 
     def done(self, frame: int | str, outcome: Outcome) -> None:
         self._write(
@@ -31,7 +30,6 @@ class Journal:
         )
 
     def failed(self, frame: int | str, sentence: str) -> None:
-        self.num_failed += 1
         print(f"quell: frame {frame}: {sentence}", file=sys.stderr, flush=True)
         self._write({"frame": frame, "status": "failed", "message": sentence})
 

@@ -11,6 +11,14 @@ class Problem(Exception):
     """Something that the user can act on; its text is one plain sentence or two."""
 
 
+def already_denoised(view_layer: str) -> str:
+    """The sentence for a view layer that Cycles has denoised without keeping its noisy picture."""
+    return (
+        f"Cycles has denoised '{view_layer}' already and kept no noisy picture. "
+        "Turn off Denoise in Sampling, and render again."
+    )
+
+
 @functools.lru_cache(maxsize=1)
 def quell() -> ModuleType:
     """The package with its library loaded. Raises Problem."""

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from .library import Problem, quell, roles
+from .library import Problem, already_denoised, quell, roles
 from .outcome import Outcome
-from .settings import ADD_PASS, NOISY_NAME, PASS_NAME, Settings
+from .settings import ADD_PASS, KEPT_NAME, NOISY_NAME, PASS_NAME, Settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,14 +31,14 @@ class RenderPass:
 
 @dataclass
 class RenderLayer:
-    """One view of one view layer. add: makes a new RGBA pass of that name and fills it."""
+    """One view of one view layer. fill: writes the RGBA pass of that name, which is not among `passes`."""
 
     name: str
     view: str  # "" unless the render is stereo
     samples: int  # per pixel; 0: unknown
     is_denoised: bool  # Cycles' own denoiser ran on it
     passes: list[RenderPass]
-    add: Callable[[str, np.ndarray], None]
+    fill: Callable[[str, np.ndarray], None]
 
     @property
     def title(self) -> str:
@@ -52,14 +52,6 @@ class _Result:
     passes: list[tuple[RenderPass, np.ndarray]] = field(default_factory=list)
     added: list[tuple[str, np.ndarray]] = field(default_factory=list)
     noisy: np.ndarray | None = None
-
-
-def already_denoised(view_layer: str) -> str:
-    """The sentence for a view layer that Cycles has denoised without keeping its noisy picture."""
-    return (
-        f"Cycles has denoised '{view_layer}' already and kept no noisy picture. "
-        "Turn off Denoise in Sampling, and render again."
-    )
 
 
 def denoise_layers(
@@ -89,7 +81,7 @@ def denoise_layers(
         for render_pass, pixels in result.passes:
             render_pass.write(pixels)
         for name, pixels in result.added:
-            layer.add(name, pixels)
+            layer.fill(name, pixels)
     outcome.add_seconds("write", time.perf_counter() - start)
     return outcome, results[0][1].noisy
 
@@ -140,6 +132,6 @@ def _denoise(
         result.added.append((PASS_NAME, arrays["Combined"]))
     else:
         result.passes = [(p, arrays[p.name]) for p in wanted if f"{layer.name}.{p.name}" in changed]
-        if settings.keep_noisy and NOISY_NAME not in arrays and result.passes:
-            result.added.append((NOISY_NAME, noisy))
+        if settings.keep_noisy and NOISY_NAME not in arrays:
+            result.added.append((KEPT_NAME, noisy))
     return result

@@ -9,7 +9,9 @@ REPLACE = "REPLACE"  # the result takes the place of the noisy passes
 ADD_PASS = "PASS"  # the result is a pass of its own, all others stay
 
 PASS_NAME = "Quell"
-NOISY_NAME = "Noisy Image"  # Cycles' own name for it
+# Not "Noisy Image": where that pass is asked for, Cycles expects to denoise, and leaves Combined black otherwise.
+KEPT_NAME = "Quell Noisy"
+NOISY_NAME = "Noisy Image"  # Cycles' own, beside a Combined that it denoised
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,30 @@
+#!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
+# install_blenders.sh FOLDER VERSION... - Blender as a Python module, each version in an environment of its own:
+# FOLDER/4.2/bin/python. A version is 4.2 or 4.2.23; the first of its line that is there stays. About 1 GB each.
+#
+# 3.4 is Debian's own package and no module: scripts/install_deps.sh blender installs it. A version whose Python is not
+# on this machine is left out with a line that says so.
+set -eu
+
+folder=$1
+shift
+for version in "$@"; do
+    line=$(echo "$version" | cut -d. -f1,2)
+    case $line in
+    5.1 | 5.2) python=python3.13 ;;
+    *) python=python3.11 ;;
+    esac
+    home=$folder/$line
+    [ -e "$home/complete" ] && continue
+    if ! command -v "$python" >/dev/null 2>&1 || ! "$python" -c '' 2>/dev/null; then
+        echo "Blender $line needs $python, which is not here: left out"
+        continue
+    fi
+    echo "Installing Blender $line into $home"
+    rm -rf "$home"
+    "$python" -m venv "$home"
+    "$home/bin/python" -m pip install --quiet --disable-pip-version-check "bpy==$version.*" ||
+        "$home/bin/python" -m pip install --quiet --disable-pip-version-check "bpy==$version"
+    touch "$home/complete"
+done
