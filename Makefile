@@ -273,7 +273,16 @@ check: syntax $(TESTS)
 ## test: install what tests need, build, and run every test
 test: deps-test
 	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) wheel $(VENV)/stamp-test
-	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender $(PYTEST_FLAGS)
+
+## test-blender: the add-on in Debian's Blender and in a few modules from PyPI (1 GB each, into build/blender)
+test-blender: BLENDERS ?= 4.2 5.0 5.2
+## test-blender-all: the same in every version that there is
+test-blender-all: BLENDERS ?= 4.2 4.3 4.4 4.5 5.0 5.1 5.2
+test-blender test-blender-all: deps-blender
+	$(Q)+$(SUBMAKE) cli addon $(VENV)/stamp-test
+	$(Q)scripts/install_blenders.sh $(BUILD)/blender $(BLENDERS)
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests/blender $(PYTEST_FLAGS)
 
 ## test-long: the tests, and again under the address, undefined-behaviour and thread sanitizers
 test-long: test
@@ -313,8 +322,8 @@ bench: deps-bench
 	$(Q)+$(SUBMAKE) all benches $(VENV)/stamp-demo
 	$(Q)$(PYTHON) bench/bench.py --quell $(CLI)
 
-## deps-demo deps-test deps-bench: only install what those targets need
-deps-demo deps-test deps-bench: deps-%:
+## deps-demo deps-test deps-bench deps-blender: only install what those targets need
+deps-demo deps-test deps-bench deps-blender: deps-%:
 	$(Q)scripts/install_deps.sh $*
 
 ## install: library, header, pkg-config file and tool under $(DESTDIR)$(PREFIX)
@@ -373,5 +382,5 @@ help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
 .PHONY: all lib cli wheel addon c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
-	deps-bench install dist format lint syntax clean distclean help FORCE
+	deps-bench deps-blender test-blender test-blender-all install dist format lint syntax clean distclean help FORCE
 .SECONDARY:

@@ -17,8 +17,12 @@ for version in "$@"; do
     esac
     home=$folder/$line
     [ -e "$home/complete" ] && continue
-    if ! command -v "$python" >/dev/null 2>&1 || ! "$python" -c '' 2>/dev/null; then
-        echo "Blender $line needs $python, which is not here: left out"
+    if ! "$python" -c '' 2>/dev/null; then
+        # pyenv has versions that it does not put on the PATH.
+        python=$(ls "${PYENV_ROOT:-$HOME/.pyenv}"/versions/"${python#python}".*/bin/"$python" 2>/dev/null | tail -n 1)
+    fi
+    if [ -z "$python" ]; then
+        echo "Blender $line needs a newer Python than there is here: left out"
         continue
     fi
     echo "Installing Blender $line into $home"
