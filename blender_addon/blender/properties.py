@@ -73,11 +73,11 @@ class QuellSettings(bpy.types.PropertyGroup):
         name="Passes",
         description="What is denoised",
         items=[
-            ("all", "All Light Passes", "Combined and every light pass: diffuse, glossy, light groups, ..."),
-            ("beauty", "Combined Only", "The picture alone; other passes stay noisy"),
+            ("ALL", "All Light Passes", "Combined and every light pass: diffuse, glossy, light groups, ..."),
+            ("COMBINED", "Combined Only", "The picture alone; other passes stay noisy"),
             ("NAMES", "By Name", "The passes named below"),
         ],
-        default="all",
+        default="ALL",
     )
     layer_names: bpy.props.StringProperty(
         name="Names",
@@ -123,7 +123,7 @@ class QuellSettings(bpy.types.PropertyGroup):
         machine = preferences.get()
         return Settings(
             model="" if self.model in ("", "DEFAULT") else self.model,
-            layers=self.layer_names if self.layers == "NAMES" else self.layers,
+            layers={"ALL": None, "COMBINED": "beauty", "NAMES": self.layer_names}[self.layers],
             keep_noisy=self.keep_noisy,
             target=self.target,
             threads=machine.threads if machine else 0,

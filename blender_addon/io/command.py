@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     denoise.add_argument("-o", "--out", type=Path, help="folder for the results; default: beside each file")
     denoise.add_argument("-n", "--name", default=files.DEFAULT_PATTERN, help="name of a result (default: %(default)s)")
     denoise.add_argument("-m", "--model", default="", help="a built-in model or a weight file")
-    denoise.add_argument("-l", "--layers", default="all", help="all, beauty, or names, comma-separated")
+    denoise.add_argument("-l", "--layers", help="all (the default), beauty, or names, comma-separated")
     denoise.add_argument("--keep-noisy", action="store_true", help="keep the noisy Combined as 'Noisy Image'")
     denoise.add_argument("--threads", type=int, default=0, help="default: one per core")
     denoise.add_argument("--again", action="store_true", help="also what is finished")

@@ -104,7 +104,7 @@ def _denoise(
     outcome: Outcome,
 ) -> _Result:
     known = roles({p.name: p.num_channels for p in layer.passes if 1 <= p.num_channels <= 4})
-    named = {name.strip() for name in settings.layers.split(",")}
+    named = {name.strip() for name in (settings.layers or "").split(",")}
     wanted = [
         p
         for p in layer.passes

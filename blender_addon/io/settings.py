@@ -17,7 +17,7 @@ NOISY_NAME = "Noisy Image"  # Cycles' own, beside a Combined that it denoised
 @dataclass(frozen=True)
 class Settings:
     model: str = ""  # "" is the library's default
-    layers: str = "all"  # "all", "beauty", or names, comma-separated
+    layers: str | None = None  # None: what suits the model, else "all", "beauty", or names, comma-separated
     keep_noisy: bool = False
     target: str = REPLACE
     threads: int = 0  # 0: one per core

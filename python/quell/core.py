@@ -268,15 +268,15 @@ class Context(_Handle):
         self,
         frame: Frame,
         model: Model,
-        layers: str = "all",
+        layers: str | None = None,
         keep_noisy: bool = False,
         tile_size: int = 0,
         progress: Progress | None = None,
     ) -> Report:
         """Denoises the frame's layers in place and says what was done.
 
-        layers: "all", "beauty" (Combined alone), or names, comma-separated. keep_noisy: the noisy Combined stays as a
-        layer "Noisy Image". On any error the pixels are as they were.
+        layers: "all", "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the
+        noisy Combined stays as a layer "Noisy Image". On any error the pixels are as they were.
         """
         raised: list[BaseException] = []
 
@@ -289,7 +289,7 @@ class Context(_Handle):
 
         options = native.Options(
             flags=native.DENOISE_KEEP_NOISY if keep_noisy else 0,
-            layers=native.encoded(layers),
+            layers=None if layers is None else native.encoded(layers),
             tile_size=tile_size,
             progress=native.ProgressFn(forward),
         )
@@ -305,9 +305,9 @@ class Context(_Handle):
         finally:
             native.load().quell_report_destroy(report)
 
-    def plan(self, frame: Frame, model: Model, layers: str = "all") -> Report:
+    def plan(self, frame: Frame, model: Model, layers: str | None = None) -> Report:
         """What denoise would do, without doing it."""
-        options = native.Options(layers=native.encoded(layers))
+        options = native.Options(layers=None if layers is None else native.encoded(layers))
         report = native.HANDLE()
         status = native.load().quell_plan(self.pointer, model.pointer, frame.pointer, C.byref(options), C.byref(report))
         try:

@@ -101,7 +101,7 @@ def replace_keep_noisy(scene):
 
 @check
 def combined_only(scene):
-    enable(scene, layers="beauty")
+    enable(scene, layers="COMBINED")
     render_denoised(scene, "beauty.exr")
 
 
