@@ -317,10 +317,14 @@ demo: deps-demo
 
 benches: $(BENCHES)
 
-## bench: time and peak memory by size and number of layers; CSV under bench/results/
-bench: deps-bench
-	$(Q)+$(SUBMAKE) all benches $(VENV)/stamp-demo
-	$(Q)$(PYTHON) bench/bench.py --quell $(CLI)
+## bench-peers: error, time and memory beside Open Image Denoise: bench/results/*.csv, docs/benchmarks.md (an hour)
+bench-peers: BENCH_OUT :=
+## bench-quick: a small part of it in two minutes, under build/bench/
+bench-quick: BENCH_OUT := $(BUILD)/bench
+bench-peers bench-quick: deps-bench
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-bench
+	$(Q)$(PYTHON) bench/peers.py --build $(OUT) $(if $(BENCH_OUT),--quick --results $(BENCH_OUT)/results) $(BENCH_FLAGS)
+	$(Q)$(PYTHON) bench/report.py $(if $(BENCH_OUT),--results $(BENCH_OUT)/results --out $(BENCH_OUT)/docs)
 
 ## deps-demo deps-test deps-bench deps-blender: only install what those targets need
 deps-demo deps-test deps-bench deps-blender: deps-%:
@@ -381,6 +385,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: all lib cli wheel addon c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench deps-demo deps-test \
-	deps-bench deps-blender test-blender test-blender-all install dist format lint syntax clean distclean help FORCE
+.PHONY: all lib cli wheel addon c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
+	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
+	clean distclean help FORCE
 .SECONDARY:

@@ -30,5 +30,5 @@ def test_every_header_compiles_alone(root: Path, tmp_path: Path) -> None:
 
 def test_make_help_lists_the_targets(root: Path) -> None:
     text = subprocess.run(["make", "-s", "help"], cwd=root, capture_output=True, text=True, check=True).stdout
-    for target in "all lib cli check test test-long asan ubsan bench demo install dist clean help format lint".split():
+    for target in "all lib cli check test test-long asan ubsan bench-peers bench-quick demo install dist clean help format lint".split():
         assert re.search(rf"^{target}\b.* {{2,}}\S", text, re.MULTILINE), target
