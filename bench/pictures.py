@@ -21,7 +21,7 @@ LETTERS = ("R", "G", "B", "X", "Y", "Z", "A")
 
 
 def read_passes(path: Path) -> dict[str, np.ndarray]:
-    """Float32 [height][width][channels] of the passes in WANTED, by their names in Blender 4; of the first view layer."""
+    """Float32 [height][width][channels] of the passes in WANTED, by Blender 4's names; of the first view layer."""
     import OpenEXR
 
     channels: dict[str, dict[str, np.ndarray]] = {}
