@@ -14,6 +14,7 @@ import argparse
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -138,9 +139,18 @@ def run_worker(config: Config, shard: int, shards: int, note: Path) -> int:
 
 
 def count_frames(config: Config) -> tuple[int, int]:
-    """Return (settled, all) camera slots of the whole run."""
-    slots = [(job, c) for job in jobs(config) for c in range(config.cameras)]
-    return sum(not missing(config, job, c) for job, c in slots), len(slots)
+    """Return (settled, all) camera slots of the whole run, by what is there rather than by asking for each file."""
+    wanted = {f"{name}.qfr" for name, _ in config.renders()}
+    settled = 0
+    for family in config.families:
+        folder = Path(config.root) / config.split / family
+        for entry in os.scandir(folder) if folder.is_dir() else ():
+            slot = re.fullmatch(r"(\d+)_(\d+)(\.rejected)?", entry.name)
+            if slot and config.first_seed <= int(slot[1]) < config.last_seed and int(slot[2]) < config.cameras:
+                # A frame that is begun and then rejected has both a folder and a marker: the marker counts.
+                marked = slot[3] is None and Path(f"{entry.path}.rejected").exists()
+                settled += slot[3] is not None or (not marked and wanted <= set(os.listdir(entry.path)))
+    return settled, len(config.families) * (config.last_seed - config.first_seed) * config.cameras
 
 
 def supervise(config: Config, procs: int) -> int:
