@@ -14,8 +14,9 @@ from torch import Tensor
 
 from training.data.store import BACKGROUND_DEPTH
 
-NUM_FEATURES = 28
+NUM_FEATURES = 32
 NUM_FLAGS = 6
+GUIDE_PLANES = slice(15, 28)  # albedo, normal, depth, alpha, colours: what the embedding starts from
 BIN = 8  # pixels along the edge of a bin of the log average: one firefly spoils one bin
 KEY_EXPONENT = 2  # the log average is brought to 2^-2, near middle grey
 FIREFLY_FACTOR = 16.0
@@ -123,6 +124,11 @@ def make_features(layers: Layers, guides: Guides, spp: Tensor, exposure: Tensor,
         planes += [squash(layers.color[:, i].mean(1, keepdim=True)) for i in (1, 2)]
     else:
         planes += [zero3, zero1, zero1]
+    if layers.light is not None:
+        planes += [tone(layers.light[:, i, 0].mean(1, keepdim=True) * scale) for i in range(3)]
+        planes.append(tone(layers.emission.mean(1, keepdim=True) * scale))
+    else:
+        planes += [zero1] * 4
     have = [layers.light, guides.albedo, guides.normal, guides.depth]
     flags = torch.stack(
         [

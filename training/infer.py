@@ -47,6 +47,6 @@ def denoise_frame(model: Quell, layers: Layers, guides: Guides, spp: int) -> Den
     planes = pad_planes(features.planes, h, w)
     inside = pad_planes(torch.ones_like(layers.beauty[:, :1]), h, w)
     padded = Layers(*(pad_planes(x, h, w) for x in (layers.beauty, layers.light, layers.color, layers.emission)))
-    out = filter_layers(model.net(planes, features.flags), padded, inside)
+    out = filter_layers(model.net, Features(planes, features.flags), padded, inside)
     cut = {name: None if value is None else value[..., :height, :width] for name, value in vars(out).items()}
     return replace(out, **cut)

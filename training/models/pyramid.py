@@ -9,7 +9,13 @@ valid pixels, and borders and holes need no case of their own.
     y_l     = (1 - a_l) * K_l x_l + a_l * U_l y_(l+1)                K_l: softmax over 5x5, U_l: over 3x3 parents
     result  = y_0[values] / y_0[validity]
 
-Closest published relative: the partitioning pyramid of Balint et al. 2023.
+K and U are guided: a tap's logit falls with the squared distance of two embeddings, that of the pixel and that of the
+tap, in units that the network predicts for each pixel:
+
+    logit_k(p) = table_k + [k is the centre] centre(p) - sum_e exp(scale_e(p)) * (e(p) - e(q_k))^2
+
+With embeddings made of normals, albedo and depth this is a joint bilateral filter, which is where training starts.
+Closest published relatives: the partitioning pyramid of Balint et al. 2023, the affinities of Isik et al. 2021.
 """
 
 from __future__ import annotations
@@ -20,67 +26,104 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.native import ApplyKernel
+from training.native import GuidedKernel, Partition
 
-FILTER_TAPS = 25
-UP_TAPS = 9
-FINE_LOGITS = FILTER_TAPS + UP_TAPS + 3  # level 0: K, U, blend, partition, importance
-MIDDLE_LOGITS = FILTER_TAPS + UP_TAPS + 2  # K, U, blend, partition
-COARSE_LOGITS = FILTER_TAPS  # the last level
+FILTER_RADIUS, UP_RADIUS = 2, 1
+FILTER_TAPS, UP_TAPS = 25, 9
+MAX_SCALE = 8.0  # of |scale|: e^8 is as sharp as a kernel can be
 
 
-def apply_kernel_reference(source: Tensor, logits: Tensor, radius: int, shift: int) -> Tensor:
-    """Plain PyTorch form of `training.native.ApplyKernel`. source [n,c,h,w], logits [n,taps,H,W]."""
-    n, channels, height, width = source.shape
-    side = 2 * radius + 1
-    taps = F.unfold(source, side, padding=radius).view(n, channels, side * side, height, width)
+def guided_kernel_reference(
+    source: Tensor,
+    embedding: Tensor,
+    other: Tensor,
+    scale: Tensor,
+    centre: Tensor | None,
+    table: Tensor,
+    image: Tensor,
+    group: Tensor,
+    radius: int,
+    shift: int,
+) -> Tensor:
+    """Plain PyTorch form of `training.native.GuidedKernel`, for n items over some images and groups.
+
+    source [n,c,h,w]; embedding [images,e,H,W] of the output's pixels, other [images,e,h,w] of the taps; scale [n,e,H,W];
+    centre [n,1,H,W] or None; table [groups,1 or 4,taps] (4: by the parity of y and x); image, group [n]: which
+    embedding and which table an item uses. shift 1: H, W are twice h, w, and the taps lie round the parent pixel."""
+    taps = (2 * radius + 1) ** 2
+
+    def unfold(x: Tensor) -> Tensor:
+        n, channels, h, w = x.shape
+        out = F.unfold(x, 2 * radius + 1, padding=radius).view(n, channels, taps, h, w)
+        return out.repeat_interleave(2, -1).repeat_interleave(2, -2) if shift else out
+
+    distance = (embedding[:, :, None] - unfold(other))[image].square()  # [n,e,taps,H,W]
+    logits = -(distance * scale.exp()[:, :, None]).sum(1)
+    height, width = scale.shape[-2:]
     if shift:
-        taps = taps.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
-    return (taps * logits.float().softmax(1)[:, None]).sum(2)
+        y = torch.arange(height, device=table.device)[:, None] % 2
+        x = torch.arange(width, device=table.device)[None] % 2
+        logits = logits + table[group][:, (y * 2 + x)].permute(0, 3, 1, 2)
+    else:
+        logits = logits + table[group][:, 0, :, None, None]
+    if centre is not None:
+        logits = logits + F.pad(centre, (0, 0, 0, 0, taps // 2, taps // 2))
+    return (unfold(source) * logits.softmax(1)[:, None]).sum(2)
 
 
-def apply_kernel(source: Tensor, logits: Tensor, radius: int, shift: int) -> Tensor:
-    """Softmax kernels over (2 radius + 1)^2 taps; shift 1 takes the taps round the coarser level's parent pixel."""
-    if source.device.type == "cpu":
-        return ApplyKernel.apply(source, logits, radius, shift)
-    return apply_kernel_reference(source.float(), logits, radius, shift)
+def guided_kernel(*args) -> Tensor:
+    """`guided_kernel_reference` in C where the data is on the CPU."""
+    return GuidedKernel.apply(*args) if args[0].device.type == "cpu" else guided_kernel_reference(*args)
 
 
 def partition(values: Tensor, logits: Tensor) -> Tensor:
+    """`partition_reference` in C where the data is on the CPU."""
+    return Partition.apply(values, logits) if values.device.type == "cpu" else partition_reference(values, logits)
+
+
+def partition_reference(values: Tensor, logits: Tensor) -> Tensor:
     """[n,c,h,w] and [n,1,h,w] to [n,c,h/2,w/2]: a softmax-weighted mean of each 2x2 cell."""
-    weights = F.pixel_unshuffle(logits.float(), 2).softmax(1)  # [n,4,h/2,w/2]
+    weights = F.pixel_unshuffle(logits, 2).softmax(1)  # [n,4,h/2,w/2]
     n, channels, height, width = values.shape
     cells = F.pixel_unshuffle(values, 2).view(n, channels, 4, height // 2, width // 2)
     return (cells * weights[:, None]).sum(2)
 
 
 @dataclass(frozen=True)
-class LevelLogits:
-    """Logits of one level of one group; up, blend and down are None at the coarsest."""
+class Level:
+    """What the network says of one level, float32. up_table, blend and down are None at the coarsest, importance (of
+    the level's own pixels) everywhere but at the finest."""
 
-    filter: Tensor  # [n,25,h,w]
-    up: Tensor | None  # [n,9,h,w]
-    blend: Tensor | None  # [n,1,h,w]
-    down: Tensor | None  # [n,1,h,w]
-
-
-def split_level(logits: Tensor) -> LevelLogits:
-    """Names the channels of a level's head."""
-    if logits.shape[1] == COARSE_LOGITS:
-        return LevelLogits(logits, None, None, None)
-    k, u = FILTER_TAPS, FILTER_TAPS + UP_TAPS
-    return LevelLogits(logits[:, :k], logits[:, k:u], logits[:, u : u + 1], logits[:, u + 1 : u + 2])
+    embedding: Tensor  # [images,e,h,w]
+    pooled: Tensor  # [images,e,h/2,w/2]: of the parents, as upsampling sees them
+    scale: Tensor  # [n,e,h,w]
+    centre: Tensor  # [n,1,h,w]
+    table: Tensor  # [groups,1,25]
+    up_table: Tensor | None = None  # [groups,4,9]
+    blend: Tensor | None = None  # [n,1,h,w]
+    down: Tensor | None = None  # [n,1,h,w]
+    importance: Tensor | None = None  # [n,1,h,w]
 
 
-def filter_pyramid(values: Tensor, levels: list[LevelLogits]) -> Tensor:
-    """Runs the pyramid on homogeneous values [n,c,h,w]; returns y_0."""
+def filter_level(values: Tensor, level: Level, image: Tensor, group: Tensor) -> Tensor:
+    """K_l on one level's values [n,c,h,w]."""
+    return guided_kernel(
+        values, level.embedding, level.embedding, level.scale, level.centre, level.table, image, group, FILTER_RADIUS, 0
+    )
+
+
+def filter_pyramid(values: Tensor, levels: list[Level], image: Tensor, group: Tensor) -> Tensor:
+    """Runs the pyramid on homogeneous values [n,c,h,w] of n items; returns y_0."""
     inputs = [values]
     for level in levels[:-1]:
         assert level.down is not None
         inputs.append(partition(inputs[-1], level.down))
-    result = apply_kernel(inputs[-1], levels[-1].filter, 2, 0)
+    result = filter_level(inputs[-1], levels[-1], image, group)
     for level, x in zip(reversed(levels[:-1]), reversed(inputs[:-1]), strict=True):
-        assert level.up is not None and level.blend is not None
-        blend = torch.sigmoid(level.blend.float())
-        result = (1 - blend) * apply_kernel(x, level.filter, 2, 0) + blend * apply_kernel(result, level.up, 1, 1)
+        assert level.up_table is not None and level.blend is not None
+        up = guided_kernel(
+            result, level.embedding, level.pooled, level.scale, None, level.up_table, image, group, UP_RADIUS, 1
+        )
+        fine = filter_level(x, level, image, group)
+        result = fine + torch.sigmoid(level.blend) * (up - fine)
     return result

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quell family: one small U-Net at half resolution predicts kernel pyramids for groups of light passes.
+"""The quell family: one small U-Net at half resolution guides a kernel pyramid for each pass.
 
-features [28] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
-              -> heads (1x1): per group 148 logits at 1/2 (4 fine pixels x 37), 36 at 1/2, 1/4, 1/8, 25 at 1/16
+features [32] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
+              -> heads (1x1), one per level: an embedding that all passes share, and for each pass how sharply each of
+                 its dimensions is looked at, a bonus for the centre, a blend, a partition, at full resolution an importance
 """
 
 from __future__ import annotations
@@ -13,21 +14,29 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from training.features import NUM_FEATURES, NUM_FLAGS, Features, Layers
-from training.models.pyramid import (
-    COARSE_LOGITS,
-    FILTER_TAPS,
-    FINE_LOGITS,
-    MIDDLE_LOGITS,
-    apply_kernel,
-    filter_pyramid,
-    split_level,
-)
+from training.features import GUIDE_PLANES, NUM_FEATURES, NUM_FLAGS, Features, Layers
+from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_level, filter_pyramid
 
-GROUPS = ("beauty", "diffuse", "glossy", "transmission", "volume")
+LIGHTS = ("diffuse", "glossy", "transmission", "volume")
+PARTS = ("direct", "indirect")
+GROUPS = ("beauty", *(f"{light}_{part}" for light in LIGHTS for part in PARTS))
 LEVELS = 5
+EMBEDDING = 10  # dimensions
+GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "partition": 1, "importance": 1}
+FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
+COLOR_FIELDS = EMBEDDING + 1  # colours and emission: one narrow kernel, at full resolution alone
 IMPORTANCE_RANGE = 12.0  # logits beyond it change nothing; keeps the division far from underflow
 COLOR_EPSILON = 0.02  # a colour this small halves the weight of its light: the ratio is noise there
+
+
+def group_planes(level: int) -> int:
+    """Planes of one group's head at a level."""
+    return sum(list(GROUP_FIELDS.values())[: FIELDS_AT[level]])
+
+
+def head_planes(level: int) -> int:
+    """Planes of a level's whole head, in its order: groups, at full resolution colours and mix, the embedding."""
+    return len(GROUPS) * group_planes(level) + (COLOR_FIELDS + 1 if level == 0 else 0) + EMBEDDING
 
 
 @dataclass(frozen=True)
@@ -51,12 +60,32 @@ class Denoised:
     emission: Tensor | None = None
 
 
+@dataclass(frozen=True)
+class Head:
+    """A level's head, float32. color (scale, centre) and mix at full resolution alone."""
+
+    groups: Tensor  # [n,groups,fields,h,w]
+    embedding: Tensor  # [n,e,h,w]: the head's share
+    color: Tensor | None = None
+    mix: Tensor | None = None
+
+
+def split_head(x: Tensor, level: int) -> Head:
+    """x [n,head_planes,h,w] by name."""
+    planes = group_planes(level)
+    if level > 0:
+        groups, embedding = x.split([len(GROUPS) * planes, EMBEDDING], 1)
+        return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding)
+    groups, color, mix, embedding = x.split([len(GROUPS) * planes, COLOR_FIELDS, 1, EMBEDDING], 1)
+    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, color, mix)
+
+
 def conv3x3(channels: int) -> nn.Conv2d:
     return nn.Conv2d(channels, channels, 3, padding=1)
 
 
 class QuellNet(nn.Module):
-    """Features to logits."""
+    """Features to what guides the kernels."""
 
     def __init__(self, config: QuellConfig) -> None:
         super().__init__()
@@ -70,34 +99,50 @@ class QuellNet(nn.Module):
         )
         self.up = nn.ModuleList(nn.Conv2d(w[i + 1], w[i], 1) for i in range(3))
         self.decoder = nn.ModuleList(nn.ModuleList(conv3x3(w[i]) for _ in range(config.up_convs[i])) for i in range(3))
-        heads = {}
-        for group in GROUPS:
-            heads[f"{group}_0"] = nn.Conv2d(w[0], 4 * FINE_LOGITS, 1)
-            for level in (1, 2, 3):
-                heads[f"{group}_{level}"] = nn.Conv2d(w[level - 1], MIDDLE_LOGITS, 1)
-            heads[f"{group}_4"] = nn.Conv2d(w[3], COARSE_LOGITS, 1)
-        heads["color_0"] = nn.Conv2d(w[0], 4 * FILTER_TAPS, 1)
-        heads["mix_0"] = nn.Conv2d(w[0], 4, 1)
-        self.heads = nn.ModuleDict(heads)
+        self.heads = nn.ModuleList(
+            nn.Conv2d(w[max(level - 1, 0)], head_planes(level) * (4 if level == 0 else 1), 1) for level in range(LEVELS)
+        )
+        self.guides = nn.Conv2d(GUIDE_PLANES.stop - GUIDE_PLANES.start, EMBEDDING, 1, bias=False)
+        self.filter_table = nn.ParameterList(torch.zeros(len(GROUPS), 1, FILTER_TAPS) for _ in range(LEVELS))
+        self.up_table = nn.ParameterList(torch.zeros(len(GROUPS), 4, UP_TAPS) for _ in range(LEVELS - 1))
+        self.color_table = nn.Parameter(torch.zeros(1, 1, FILTER_TAPS))
         self.initialise()
 
     def initialise(self) -> None:
-        """He initialisation in the body. Heads start small, with kernels that lean on their centre and on the finer
-        level, so that the first steps see a mild blur rather than the mean of 150 pixels."""
+        """He initialisation in the body. Heads start small, the embedding as normal, albedo and depth, the tables as a
+        Gaussian and a tent: the first step sees a joint bilateral filter rather than the mean of 150 pixels."""
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-                nn.init.zeros_(module.bias)
-        for name, head in self.heads.items():
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        for level, head in enumerate(self.heads):
+            fine = 4 if level == 0 else 1
             nn.init.normal_(head.weight, std=0.01)
-            fine = 4 if name.endswith("_0") else 1
-            if name != "mix_0":
-                head.bias.data.view(-1, fine)[FILTER_TAPS // 2] = 1.0
-            if name.endswith("_0") and name not in ("mix_0", "color_0"):
-                head.bias.data.view(-1, fine)[FINE_LOGITS - 1] = 2.0  # importance: sigmoid(2) = 0.88
+            nn.init.normal_(head.weight[-EMBEDDING * fine :], std=0.5 / head.weight.shape[1] ** 0.5)
+            bias = head.bias.data.view(-1, fine)
+            for group in range(len(GROUPS)):
+                own = bias[group * group_planes(level) :]
+                if group > 0:
+                    own[3:6] = -2.0  # light without its colour need not heed albedo
+                if level == 0:
+                    own[group_planes(0) - 1] = 2.0  # importance: sigmoid(2) = 0.88
+        nn.init.zeros_(self.guides.weight)
+        for dimension, plane, gain in [(0, 3, 3.0), (1, 4, 3.0), (2, 5, 3.0), (3, 0, 4.0), (4, 1, 4.0), (5, 2, 4.0),
+                                       (6, 6, 6.0), (7, 7, 4.0)]:  # fmt: skip
+            self.guides.weight.data[dimension, plane] = gain
+        offset = torch.arange(FILTER_TAPS)
+        gauss = -((offset // 5 - 2) ** 2 + (offset % 5 - 2) ** 2) / 8.0
+        for table in (*self.filter_table, self.color_table):
+            table.data[:] = gauss
+        tent = torch.tensor([[0.25, 0.75, 0.02], [0.02, 0.75, 0.25]])  # of the parents before, at and behind, by parity
+        for table in self.up_table:
+            for y in range(2):
+                for x in range(2):
+                    table.data[:, 2 * y + x] = (tent[y][:, None] * tent[x][None]).flatten().log()
 
-    def forward(self, features: Tensor, flags: Tensor) -> dict[str, Tensor]:
-        """features [n,28,h,w] (h, w multiples of 16), flags [n,6] to logits by head."""
+    def forward(self, features: Tensor, flags: Tensor) -> list[Head]:
+        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level."""
         x = F.relu(self.stem(features) + self.flags(flags)[:, :, None, None])
         skips = []
         for level in range(4):
@@ -112,61 +157,96 @@ class QuellNet(nn.Module):
             for conv in self.decoder[level]:
                 x = F.relu(conv(x))
             levels[level + 1] = x
-        out = {}
-        for name, head in self.heads.items():
-            level = int(name[-1])
-            out[name] = head(levels[max(level, 1)])
-            if level == 0:
-                out[name] = F.pixel_shuffle(out[name], 2)
+        planes = [F.pixel_shuffle(self.heads[0](levels[1]), 2)]
+        planes += [self.heads[level](levels[level]) for level in range(1, LEVELS)]
+        return [split_head(x.float(), level) for level, x in enumerate(planes)]
+
+    def embeddings(self, features: Tensor, heads: list[Head]) -> list[Tensor]:
+        """By level [n,e,h,w]: the guides' share at full resolution, passed down by means of 2x2, plus the heads'."""
+        passed = self.guides(features[:, GUIDE_PLANES]).float()
+        out = []
+        for head in heads:
+            out.append(passed + head.embedding)
+            passed = F.avg_pool2d(out[-1], 2)
+        return out
+
+    def levels(self, heads: list[Head], embeddings: list[Tensor], image: Tensor, group: Tensor) -> list[Level]:
+        """The pyramid of n items, each a group of an image."""
+        out = []
+        for level, (head, embedding) in enumerate(zip(heads, embeddings, strict=True)):
+            own = list(head.groups[image, group].split(list(GROUP_FIELDS.values())[: FIELDS_AT[level]], 1))
+            last = level + 1 == LEVELS
+            out.append(
+                Level(
+                    embedding=embedding,
+                    pooled=embedding if last else F.avg_pool2d(embedding, 2),
+                    scale=own[0].clamp(-MAX_SCALE, MAX_SCALE),
+                    centre=own[1],
+                    table=self.filter_table[level],
+                    up_table=None if last else self.up_table[level],
+                    blend=None if last else own[2],
+                    down=None if last else own[3],
+                    importance=own[4] if level == 0 else None,
+                )
+            )
         return out
 
 
-def group_levels(logits: dict[str, Tensor], groups: tuple[str, ...]) -> tuple[list, Tensor]:
-    """The pyramid's levels for some groups, stacked along the batch, and their importance logits [n*groups,1,h,w]."""
-    stacked = [torch.cat([logits[f"{group}_{level}"] for group in groups]) for level in range(LEVELS)]
-    importance = stacked[0][:, FINE_LOGITS - 1 :]
-    return [split_level(stacked[0][:, : FINE_LOGITS - 1]), *map(split_level, stacked[1:])], importance
-
-
 def importance_weight(logits: Tensor) -> Tensor:
-    return torch.sigmoid(logits.float().clamp(-IMPORTANCE_RANGE, IMPORTANCE_RANGE))
+    return torch.sigmoid(logits.clamp(-IMPORTANCE_RANGE, IMPORTANCE_RANGE))
 
 
-def filter_layers(logits: dict[str, Tensor], layers: Layers, inside: Tensor | None = None) -> Denoised:
-    """Applies the predicted kernels to the frame's layers and puts Combined together again.
+def divide(values: Tensor) -> Tensor:
+    """Homogeneous values back to pixels."""
+    values, validity = values.split([values.shape[1] - 1, 1], 1)
+    return values / validity.clamp_min(1e-20)
+
+
+def filter_layers(net: QuellNet, features: Features, layers: Layers, inside: Tensor | None = None) -> Denoised:
+    """Applies the network's kernels to the frame's layers and puts Combined together again.
 
     inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside."""
+    heads = net(features.planes, features.flags)
     n = layers.beauty.shape[0]
     if inside is None:
         inside = torch.ones_like(layers.beauty[:, :1])
-    levels, importance = group_levels(logits, ("beauty",))
-    weight = importance_weight(importance) * inside
-    filtered = filter_pyramid(torch.cat([layers.beauty * weight, weight], 1), levels)
-    direct = filtered[:, :3] / filtered[:, 3:].clamp_min(1e-20)
+    embeddings = net.embeddings(features.planes, heads)
+    # Items: Combined of every image, then the light passes that are not black.
+    image, group = torch.arange(n), torch.zeros(n, dtype=torch.long)
+    values, validity = layers.beauty, inside
+    if layers.light is not None:
+        scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
+        valid = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1) * inside[:, None]
+        lit = layers.light.flatten(1, 2).flatten(2).any(2).cpu().nonzero()
+        image, group = torch.cat([image, lit[:, 0]]), torch.cat([group, lit[:, 1] + 1])
+        values = torch.cat([values, layers.light.flatten(1, 2)[lit[:, 0], lit[:, 1]]])
+        validity = torch.cat([validity, valid[lit[:, 0], lit[:, 1] // 2]])
+    levels = net.levels(heads, embeddings, image, group)
+    assert levels[0].importance is not None
+    weight = importance_weight(levels[0].importance) * validity
+    filtered = filter_pyramid(torch.cat([values * weight, weight], 1), levels, image, group)
+    direct, filtered = divide(filtered).split([n, len(image) - n])
     if layers.light is None:
         return Denoised(combined=direct, direct=direct)
 
-    groups = GROUPS[1:]
-    levels, importance = group_levels(logits, groups)
-    scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
-    validity = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1)
-    validity = validity.transpose(0, 1).flatten(0, 1)  # [4n,1,h,w]: groups outermost, as in group_levels
-    weight = importance_weight(importance) * validity * inside.repeat(len(groups), 1, 1, 1)
-    light = layers.light.transpose(0, 1).flatten(0, 1).flatten(1, 2)  # [4n,6,h,w]
-    values = filter_pyramid(torch.cat([light * weight, weight], 1), levels)
-    light = values[:, :6] / values[:, 6:].clamp_min(1e-20)
-    light = light.view(len(groups), n, 2, 3, *light.shape[2:]).transpose(0, 1)
+    light = torch.zeros_like(layers.light).flatten(1, 2).index_put((lit[:, 0], lit[:, 1]), filtered)
+    light = light.view_as(layers.light)
     # Light without a colour is "no data", not darkness to be filled from beside: it stays what it was.
     colored = torch.cat([(layers.color != 0).any(2, keepdim=True), torch.ones_like(scale[:, :1], dtype=torch.bool)], 1)
     light = torch.where(colored[:, :, None], light, layers.light)
 
     # What the camera sees directly, colours and emitters, is noisy at edges and under blur alone: narrow kernels.
+    head = heads[0]
+    assert head.color is not None and head.mix is not None
+    scale, centre = head.color.split([EMBEDDING, 1], 1)
+    narrow = Level(embeddings[0], embeddings[0], scale.clamp(-MAX_SCALE, MAX_SCALE), centre, net.color_table)
     seen = torch.cat([layers.color.flatten(1, 2), layers.emission, inside], 1)
-    seen = apply_kernel(seen, logits["color_0"], 2, 0)
-    seen = seen[:, :-1] / seen[:, -1:].clamp_min(1e-20)
-    color, emission = seen[:, :9].view_as(layers.color), seen[:, 9:]
-    rebuilt = (light[:, :3].sum(2) * color).sum(1) + light[:, 3].sum(1) + emission
-    mix = torch.sigmoid(logits["mix_0"].float())
+    seen = divide(filter_level(seen, narrow, torch.arange(n), torch.zeros(n, dtype=torch.long)))
+    color, emission = seen.split([9, 3], 1)
+    color = color.view_as(layers.color)
+    parts = light.sum(2)
+    rebuilt = (parts[:, :3] * color).sum(1) + parts[:, 3] + emission
+    mix = torch.sigmoid(head.mix)
     combined = mix * rebuilt + (1 - mix) * direct
     return Denoised(combined, direct, rebuilt, light, color, emission)
 
@@ -179,7 +259,7 @@ class Quell(nn.Module):
         self.net = QuellNet(config)
 
     def forward(self, features: Features, layers: Layers) -> Denoised:
-        return filter_layers(self.net(features.planes, features.flags), layers)
+        return filter_layers(self.net, features, layers)
 
 
 def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
@@ -188,10 +268,10 @@ def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
     total = NUM_FEATURES * w[0] * 4 * per[0]
     for i in range(4):
         total += config.down_convs[i] * 9 * w[i] ** 2 * per[i]
+        total += EMBEDDING * w[i] * per[i]
     for i in range(3):
         total += 4 * w[i] * w[i + 1] * per[i + 1] + w[i + 1] * w[i] * per[i + 1]
         total += config.up_convs[i] * 9 * w[i] ** 2 * per[i]
-    head = 4 * FINE_LOGITS * w[0] * per[0] + COARSE_LOGITS * w[3] * per[3]
-    head += sum(MIDDLE_LOGITS * w[i] * per[i] for i in range(3))
-    total += groups * head
-    return total + (4 * (FILTER_TAPS + 1) * w[0] * per[0] if light else 0)
+    head = group_planes(0) * w[0] + sum(group_planes(i + 1) * w[i] * per[i] for i in range(4))
+    total += groups * head + EMBEDDING * (w[0] + GUIDE_PLANES.stop - GUIDE_PLANES.start)
+    return total + ((COLOR_FIELDS + 1) * w[0] if light else 0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernel application in C for training on a CPU, compiled at first use.
+"""Guided kernels in C for training on a CPU, compiled at first use.
 
-The plain PyTorch form of the same operation is `training.models.pyramid.apply_kernel_reference`; it runs on any device
+The plain PyTorch form of the same operation is `training.models.pyramid.guided_kernel_reference`; it runs on any device
 and is what the tests compare with.
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 SOURCE = Path(__file__).with_name("kernel_ops.c")
-FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-fPIC", "-shared", "-std=c11"]
+FLAGS = ["-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-fopenmp", "-fPIC", "-shared", "-std=gnu11"]
 
 
 @functools.cache
@@ -37,37 +37,82 @@ def library() -> ctypes.CDLL:
         Path(temporary.name).rename(target)
     lib = ctypes.CDLL(str(target))
     pointer = ctypes.c_void_p
-    lib.kernel_forward.argtypes = [ctypes.c_long] * 6 + [pointer] * 3
-    lib.kernel_forward.restype = None
-    lib.kernel_backward.argtypes = [ctypes.c_long] * 6 + [pointer] * 5
-    lib.kernel_backward.restype = None
+    lib.guided_forward.argtypes = [ctypes.c_long] + [pointer] * 5
+    lib.guided_forward.restype = None
+    lib.guided_backward.argtypes = [ctypes.c_long] + [pointer] * 6
+    lib.guided_backward.restype = None
+    lib.partition_forward.argtypes = [ctypes.c_long] * 4 + [pointer] * 3
+    lib.partition_forward.restype = None
+    lib.partition_backward.argtypes = [ctypes.c_long] * 4 + [pointer] * 5
+    lib.partition_backward.restype = None
     return lib
 
 
-class ApplyKernel(torch.autograd.Function):
-    """out[n,c,y,x] = sum_k softmax_k(logits)[n,k,y,x] * source[n,c,y+dy,x+dx], zero outside."""
+def _pointers(tensors: list[torch.Tensor | None]) -> ctypes.Array:
+    return (ctypes.c_void_p * len(tensors))(*(None if t is None else t.data_ptr() for t in tensors))
+
+
+def _longs(values: list[int]) -> ctypes.Array:
+    return (ctypes.c_long * len(values))(*values)
+
+
+class GuidedKernel(torch.autograd.Function):
+    """`pyramid.guided_kernel_reference` on the CPU, forward and backward."""
 
     @staticmethod
-    def forward(ctx, source: torch.Tensor, logits: torch.Tensor, radius: int, shift: int) -> torch.Tensor:
-        source, logits = source.float().contiguous(), logits.float().contiguous()
-        n, _, height, width = logits.shape
-        out = torch.empty(n, source.shape[1], height, width)
-        library().kernel_forward(
-            n, source.shape[1], height, width, radius, shift, source.data_ptr(), logits.data_ptr(), out.data_ptr()
-        )
-        ctx.save_for_backward(source, logits)
-        ctx.geometry = (radius, shift)
+    def forward(ctx, source, embedding, other, scale, centre, table, image, group, radius, shift):
+        given = (source, embedding, other, scale, centre, table)
+        tensors = [None if t is None else t.float().contiguous() for t in given]
+        n, channels, height, width = source.shape[0], source.shape[1], *scale.shape[-2:]
+        sizes = _longs([width, height, width >> shift, height >> shift, radius, shift, channels, embedding.shape[1]])
+        index = _longs(image.tolist()), _longs(group.tolist())
+        out = torch.empty(n, channels, height, width)
+        library().guided_forward(n, sizes, *index, _pointers(tensors), out.data_ptr())
+        ctx.save_for_backward(*(t for t in tensors if t is not None))
+        ctx.call = (n, sizes, *index)
+        ctx.has_centre = centre is not None
         return out
 
     @staticmethod
-    def backward(ctx, grad: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, None, None]:
-        source, logits = ctx.saved_tensors
-        radius, shift = ctx.geometry
+    def backward(ctx, grad):
+        tensors = list(ctx.saved_tensors)
+        if not ctx.has_centre:
+            tensors.insert(4, None)
+        source, embedding, other, scale, centre, table = tensors
+        out = [
+            torch.empty_like(source),
+            torch.zeros_like(embedding),
+            torch.zeros_like(other),
+            torch.empty_like(scale),
+            None if centre is None else torch.empty_like(centre),
+            torch.zeros_like(table),
+        ]
         grad = grad.float().contiguous()
-        n, _, height, width = logits.shape
-        grad_source, grad_logits = torch.empty_like(source), torch.empty_like(logits)
-        library().kernel_backward(
-            n, source.shape[1], height, width, radius, shift,
-            source.data_ptr(), logits.data_ptr(), grad.data_ptr(), grad_source.data_ptr(), grad_logits.data_ptr(),
+        library().guided_backward(*ctx.call, _pointers(tensors), grad.data_ptr(), _pointers(out))
+        return *out, None, None, None, None
+
+
+class Partition(torch.autograd.Function):
+    """`pyramid.partition_reference` on the CPU, forward and backward."""
+
+    @staticmethod
+    def forward(ctx, values: torch.Tensor, logits: torch.Tensor) -> torch.Tensor:
+        values, logits = values.float().contiguous(), logits.float().contiguous()
+        n, channels, height, width = values.shape
+        out = torch.empty(n, channels, height // 2, width // 2)
+        library().partition_forward(
+            n, channels, height, width, values.data_ptr(), logits.data_ptr(), out.data_ptr()
+        )
+        ctx.save_for_backward(values, logits)
+        return out
+
+    @staticmethod
+    def backward(ctx, grad: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        values, logits = ctx.saved_tensors
+        grad = grad.float().contiguous()
+        grad_values, grad_logits = torch.empty_like(values), torch.empty_like(logits)
+        library().partition_backward(
+            *values.shape, values.data_ptr(), logits.data_ptr(), grad.data_ptr(),
+            grad_values.data_ptr(), grad_logits.data_ptr(),
         )  # fmt: skip
-        return grad_source, grad_logits, None, None
+        return grad_values, grad_logits

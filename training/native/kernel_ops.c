@@ -1,171 +1,345 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Kernel application with its gradients, for training on a CPU. Called from training/native/__init__.py through ctypes;
- * training/models/pyramid.py holds the plain PyTorch form of the same operations, which the tests compare with.
+ * Guided kernels applied, with their gradients, for training on a CPU. Called from training/native/__init__.py through
+ * ctypes; training/models/pyramid.py holds the plain PyTorch form of the same operations, which the tests compare with.
  *
- * All tensors are float, contiguous, planar. The taps of a pixel are softmaxed here, so that the weights of a whole
- * image are never stored. Outside the image everything is zero (values and validity alike, see pyramid.py).
+ *   logit_k(p) = table_k + [k is the centre] centre(p) - sum_e exp(scale_e(p)) * (embedding_e(p) - other_e(q_k))^2
+ *   out_c(p)   = sum_k softmax_k(logit)(p) * source_c(q_k)
+ *
+ * All tensors are float, contiguous, planar. Nothing of 25 planes is ever stored for more than a row. Outside the image
+ * everything is zero (values and validity alike, see pyramid.py).
  */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+enum { MAX_TAPS = 25, MAX_DIMS = 16, BLOCK = 16 /* pixels; even */ };
 
-/* Where the taps of fine pixel (x, y) lie in the padded source: for a filter the pixel itself plus an offset, for an
- * upsampling its parent (x / 2, y / 2) plus an offset. */
+/* Where the taps of pixel (x, y) lie: for a filter the pixel itself plus an offset, for an upsampling its parent
+ * (x / 2, y / 2) plus an offset. */
 typedef struct geometry {
-    long width, height;             /* of the logits and of the output */
-    long source_width, source_height;
-    long radius;                    /* 2 for 5x5, 1 for 3x3 */
-    long shift;                     /* 0: filter, 1: upsampling by 2 */
+    long width, height;               /* of the output */
+    long source_width, source_height; /* of the source and of `other` */
+    long radius;                      /* 2 for 5x5, 1 for 3x3 */
+    long shift;                       /* 0: filter, 1: upsampling by 2 */
+    long channels, dims;              /* of the source, of the embedding */
 } geometry;
 
-static long padded_width(const geometry *g)
-{
-    return g->source_width + 2 * g->radius;
-}
+/* One image's share of every tensor; gradients are NULL on the way forward. */
+typedef struct item {
+    const float *source;    /* [channels][source_height][source_width] */
+    const float *embedding; /* [dims][height][width] */
+    const float *other;     /* [dims][source_height][source_width]; the embedding itself for a filter */
+    const float *scale;     /* [dims][height][width] */
+    const float *centre;    /* [height][width] or NULL */
+    const float *table;     /* [1 or 4 parities][taps] */
+    const float *grad;      /* [channels][height][width] */
+    float *out;
+    float *grad_source, *grad_embedding, *grad_other, *grad_scale, *grad_centre, *grad_table;
+} item;
 
-static long padded_size(const geometry *g)
-{
-    return padded_width(g) * (g->source_height + 2 * g->radius);
-}
+/* Sources are padded by the radius and, for an upsampling, doubled along x: then each tap of a row of pixels is a row.
+ * BLOCK more, so that the last block of a row may be read and added to whole. */
+static long padded_width(const geometry *g) { return ((g->source_width + 2 * g->radius) << g->shift) + BLOCK; }
+static long padded_size(const geometry *g) { return padded_width(g) * (g->source_height + 2 * g->radius); }
+static long num_taps(const geometry *g) { return (2 * g->radius + 1) * (2 * g->radius + 1); }
 
-static void pad(const geometry *g, const float *source, float *padded)
+static void pad(const geometry *g, long planes, const float *source, float *padded)
 {
-    memset(padded, 0, (size_t)padded_size(g) * sizeof *padded);
-    for (long y = 0; y < g->source_height; ++y)
-        memcpy(padded + (y + g->radius) * padded_width(g) + g->radius, source + y * g->source_width,
-               (size_t)g->source_width * sizeof *source);
-}
-
-static void unpad_add(const geometry *g, const float *padded, float *target)
-{
-    for (long y = 0; y < g->source_height; ++y)
-        memcpy(target + y * g->source_width, padded + (y + g->radius) * padded_width(g) + g->radius,
-               (size_t)g->source_width * sizeof *target);
-}
-
-/* weights[k][x] = softmax over k of logits[k][y][x] */
-static void softmax_row(const geometry *g, const float *logits, long y, long taps, float *weights)
-{
-    const long w = g->width, plane = g->width * g->height;
-    float *const sum = weights + taps * w, *const top = sum + w;
-    const float *const row = logits + y * w;
-    for (long x = 0; x < w; ++x) top[x] = row[x];
-    for (long k = 1; k < taps; ++k)
-        for (long x = 0; x < w; ++x) top[x] = fmaxf(top[x], row[k * plane + x]);
-    memset(sum, 0, (size_t)w * sizeof *sum);
-    for (long k = 0; k < taps; ++k)
-        for (long x = 0; x < w; ++x) {
-            const float e = expf(row[k * plane + x] - top[x]);
-            weights[k * w + x] = e;
-            sum[x] += e;
+    memset(padded, 0, (size_t)(planes * padded_size(g)) * sizeof *padded);
+    for (long c = 0; c < planes; ++c)
+        for (long y = 0; y < g->source_height; ++y) {
+            const float *const from = source + (c * g->source_height + y) * g->source_width;
+            float *const to =
+                padded + c * padded_size(g) + (y + g->radius) * padded_width(g) + (g->radius << g->shift);
+            if (g->shift == 0)
+                memcpy(to, from, (size_t)g->source_width * sizeof *to);
+            else
+                for (long x = 0; x < g->source_width; ++x) to[2 * x] = to[2 * x + 1] = from[x];
         }
-    for (long x = 0; x < w; ++x) sum[x] = 1.0f / sum[x];
-    for (long k = 0; k < taps; ++k)
-        for (long x = 0; x < w; ++x) weights[k * w + x] *= sum[x];
 }
 
-/* The source row of tap k at every x of an output row: contiguous for a filter, each value twice for an upsampling. */
-static const float *tap_row(const geometry *g, const float *padded, long y, long k, float *buffer)
+static void unpad_add(const geometry *g, long planes, const float *padded, float *target)
 {
-    const long side = 2 * g->radius + 1, dy = k / side, dx = k % side;
-    const float *const row = padded + ((y >> g->shift) + dy) * padded_width(g) + dx;
-    if (g->shift == 0) return row;
-    for (long x = 0; x < g->width; ++x) buffer[x] = row[x >> 1];
-    return buffer;
-}
-
-static void forward_one(const geometry *g, long channels, const float *source, const float *logits, float *out)
-{
-    const long side = 2 * g->radius + 1, taps = side * side, w = g->width, size = padded_size(g);
-    float *const padded = malloc((size_t)(channels * size) * sizeof *padded);
-    float *const weights = malloc((size_t)((taps + 3) * w) * sizeof *weights);
-    float *const buffer = weights + (taps + 2) * w;
-    for (long c = 0; c < channels; ++c) pad(g, source + c * g->source_width * g->source_height, padded + c * size);
-    for (long y = 0; y < g->height; ++y) {
-        softmax_row(g, logits, y, taps, weights);
-        for (long c = 0; c < channels; ++c) {
-            float *const o = out + (c * g->height + y) * w;
-            memset(o, 0, (size_t)w * sizeof *o);
-            for (long k = 0; k < taps; ++k) {
-                const float *const s = tap_row(g, padded + c * size, y, k, buffer);
-                const float *const wk = weights + k * w;
-                for (long x = 0; x < w; ++x) o[x] += wk[x] * s[x];
-            }
+    for (long c = 0; c < planes; ++c)
+        for (long y = 0; y < g->source_height; ++y) {
+            const float *const from =
+                padded + c * padded_size(g) + (y + g->radius) * padded_width(g) + (g->radius << g->shift);
+            float *const to = target + (c * g->source_height + y) * g->source_width;
+            if (g->shift == 0)
+                for (long x = 0; x < g->source_width; ++x) to[x] += from[x];
+            else
+                for (long x = 0; x < g->source_width; ++x) to[x] += from[2 * x] + from[2 * x + 1];
         }
+}
+
+/* offset[k]: from the start of a padded plane to tap k of the first pixel of row y. */
+static void tap_offsets(const geometry *g, long y, long *offset)
+{
+    const long side = 2 * g->radius + 1;
+    for (long k = 0; k < side * side; ++k)
+        offset[k] = ((y >> g->shift) + k / side) * padded_width(g) + ((k % side) << g->shift);
+}
+
+/* What follows works on blocks of pixels of a row, so that sums over taps stay in registers. */
+typedef float block __attribute__((vector_size(BLOCK * sizeof(float))));
+typedef int int_block __attribute__((vector_size(BLOCK * sizeof(int))));
+typedef float loose_block __attribute__((vector_size(BLOCK * sizeof(float)), aligned(4)));
+
+static block load(const float *p) { return *(const loose_block *)p; }
+static void add(float *p, block v) { *(loose_block *)p += v; }
+
+/* The first n lanes, the others 0. */
+static block load_some(const float *p, long n)
+{
+    block v = {0};
+    if (n >= BLOCK) return load(p);
+    memcpy(&v, p, (size_t)n * sizeof *p);
+    return v;
+}
+
+static void store_some(float *p, block v, long n)
+{
+    memcpy(p, &v, (size_t)(n < BLOCK ? n : BLOCK) * sizeof *p);
+}
+
+static block larger(block a, block b)
+{
+    const int_block m = a > b;
+    return (block)((m & (int_block)a) | (~m & (int_block)b));
+}
+
+/* exp(x) = 2^n exp(r), |r| < ln 2, by its series; relative error below 1e-6. */
+static block exp_block(block x)
+{
+    x = larger(x, (block){0} - 80.0f);
+    const int_block n = __builtin_convertvector(x * 1.44269504f, int_block);
+    const block r = x - __builtin_convertvector(n, block) * 0.69314718056f;
+    block p = r / 8.0f + 1.0f;
+    for (float k = 7.0f; k >= 1.0f; --k) p = p * r / k + 1.0f;
+    return p * (block)((n + 127) << 23);
+}
+
+static float sum_block(block v)
+{
+    float sum = 0.0f;
+    for (long i = 0; i < BLOCK; ++i) sum += v[i];
+    return sum;
+}
+
+/* weights[k]: softmax of the logits of pixels x0 .. x0 + n - 1 of row y; sharpness[e] = exp(scale). */
+static void weights_block(const geometry *g, const item *t, const float *other, const long *offset, long y, long x0,
+                          long n, block *sharpness, block *weights)
+{
+    const long w = g->width, plane = w * g->height, taps = num_taps(g), at = y * w + x0;
+    const float *const even = g->shift ? t->table + (y & 1) * 2 * taps : t->table, *const odd = even + taps * g->shift;
+    block a[MAX_DIMS], odd_lane, top, sum = {0};
+    for (long i = 0; i < BLOCK; ++i) odd_lane[i] = (float)(i & 1);
+    for (long e = 0; e < g->dims; ++e) {
+        sharpness[e] = exp_block(load_some(t->scale + e * plane + at, n));
+        a[e] = load_some(t->embedding + e * plane + at, n);
     }
-    free(weights);
+    for (long k = 0; k < taps; ++k) {
+        block l = even[k] + odd_lane * (odd[k] - even[k]);
+        if (t->centre && k == taps / 2) l += load_some(t->centre + at, n);
+        const float *const b = other + offset[k] + x0;
+        for (long e = 0; e < g->dims; ++e) {
+            const block d = a[e] - load(b + e * padded_size(g));
+            l -= sharpness[e] * d * d;
+        }
+        weights[k] = l;
+        top = k == 0 ? l : larger(l, top);
+    }
+    for (long k = 0; k < taps; ++k) {
+        weights[k] = exp_block(weights[k] - top);
+        sum += weights[k];
+    }
+    sum = 1.0f / sum;
+    for (long k = 0; k < taps; ++k) weights[k] *= sum;
+}
+
+static void forward_block(const geometry *g, const item *t, const float *padded, const long *offset, long y, long x0,
+                          long n)
+{
+    block sharpness[MAX_DIMS], weights[MAX_TAPS];
+    weights_block(g, t, padded + g->channels * padded_size(g), offset, y, x0, n, sharpness, weights);
+    for (long c = 0; c < g->channels; ++c) {
+        const float *const source = padded + c * padded_size(g) + x0;
+        block sum = {0};
+        for (long k = 0; k < num_taps(g); ++k) sum += weights[k] * load(source + offset[k]);
+        store_some(t->out + (c * g->height + y) * g->width + x0, sum, n);
+    }
+}
+
+static void forward_one(const geometry *g, const item *t)
+{
+    float *const padded = malloc((size_t)((g->channels + g->dims) * padded_size(g)) * sizeof *padded);
+    pad(g, g->channels, t->source, padded);
+    pad(g, g->dims, t->other, padded + g->channels * padded_size(g));
+    for (long y = 0; y < g->height; ++y) {
+        long offset[MAX_TAPS];
+        tap_offsets(g, y, offset);
+        for (long x0 = 0; x0 < g->width; x0 += BLOCK) forward_block(g, t, padded, offset, y, x0, g->width - x0);
+    }
     free(padded);
 }
 
-static void backward_one(const geometry *g, long channels, const float *source, const float *logits, const float *grad,
-                         float *grad_source, float *grad_logits)
+/* Lanes beyond the row have no gradient, so what they add to others is 0. */
+static void backward_block(const geometry *g, const item *t, const float *padded, float *padded_grad,
+                           const long *offset, long y, long x0, long n)
 {
-    const long side = 2 * g->radius + 1, taps = side * side, w = g->width, size = padded_size(g);
-    const long plane = g->width * g->height;
-    float *const padded = malloc((size_t)(channels * size) * sizeof *padded);
-    float *const padded_grad = calloc((size_t)(channels * size), sizeof *padded_grad);
-    float *const weights = malloc((size_t)((2 * taps + 4) * w) * sizeof *weights);
-    float *const d = weights + (taps + 2) * w, *const mean = d + taps * w, *const buffer = mean + w;
-    for (long c = 0; c < channels; ++c) pad(g, source + c * g->source_width * g->source_height, padded + c * size);
-    for (long y = 0; y < g->height; ++y) {
-        softmax_row(g, logits, y, taps, weights);
-        memset(mean, 0, (size_t)w * sizeof *mean);
+    const long w = g->width, plane = w * g->height, size = padded_size(g), taps = num_taps(g), at = y * w + x0;
+    block sharpness[MAX_DIMS], weights[MAX_TAPS], d[MAX_TAPS], mean = {0}, odd_lane;
+    for (long i = 0; i < BLOCK; ++i) odd_lane[i] = (float)(i & 1);
+    weights_block(g, t, padded + g->channels * size, offset, y, x0, n, sharpness, weights);
+    memset(d, 0, sizeof d);
+    for (long c = 0; c < g->channels; ++c) {
+        const float *const source = padded + c * size + x0;
+        float *const to = padded_grad + c * size + x0;
+        const block grad = load_some(t->grad + c * plane + at, n);
         for (long k = 0; k < taps; ++k) {
-            const float *const wk = weights + k * w;
-            float *const dk = d + k * w;
-            memset(dk, 0, (size_t)w * sizeof *dk);
-            for (long c = 0; c < channels; ++c) {
-                const float *const s = tap_row(g, padded + c * size, y, k, buffer);
-                const float *const gy = grad + (c * g->height + y) * w;
-                for (long x = 0; x < w; ++x) dk[x] += gy[x] * s[x];
-            }
-            for (long x = 0; x < w; ++x) mean[x] += wk[x] * dk[x];
-            for (long c = 0; c < channels; ++c) {
-                const float *const gy = grad + (c * g->height + y) * w;
-                float *const t = padded_grad + c * size + ((y >> g->shift) + k / side) * padded_width(g) + k % side;
-                if (g->shift == 0)
-                    for (long x = 0; x < w; ++x) t[x] += wk[x] * gy[x];
-                else
-                    for (long x = 0; x < w / 2; ++x)
-                        t[x] += wk[2 * x] * gy[2 * x] + wk[2 * x + 1] * gy[2 * x + 1];
-            }
-        }
-        for (long k = 0; k < taps; ++k) {
-            float *const o = grad_logits + k * plane + y * w;
-            for (long x = 0; x < w; ++x) o[x] = weights[k * w + x] * (d[k * w + x] - mean[x]);
+            d[k] += grad * load(source + offset[k]);
+            add(to + offset[k], grad * weights[k]);
         }
     }
-    for (long c = 0; c < channels; ++c)
-        unpad_add(g, padded_grad + c * size, grad_source + c * g->source_width * g->source_height);
-    free(weights);
+    for (long k = 0; k < taps; ++k) mean += weights[k] * d[k];
+    float *const table = t->grad_table + (g->shift ? (y & 1) * 2 * taps : 0);
+    for (long k = 0; k < taps; ++k) { /* d becomes the gradient of the logits */
+        d[k] = weights[k] * (d[k] - mean);
+        const float all = sum_block(d[k]), odd = g->shift ? sum_block(d[k] * odd_lane) : 0.0f;
+        table[k] += all - odd;
+        table[k + taps * g->shift] += odd;
+    }
+    if (t->centre) store_some(t->grad_centre + at, d[taps / 2], n);
+    for (long e = 0; e < g->dims; ++e) {
+        const float *const b = padded + (g->channels + e) * size + x0;
+        float *const to = padded_grad + (g->channels + e) * size + x0;
+        const block a = load_some(t->embedding + e * plane + at, n), s = 2.0f * sharpness[e];
+        block grad_a = load_some(t->grad_embedding + e * plane + at, n), grad_s = {0};
+        for (long k = 0; k < taps; ++k) {
+            const block difference = a - load(b + offset[k]), step = s * d[k] * difference;
+            grad_a -= step;
+            grad_s -= step * difference;
+            add(to + offset[k], step);
+        }
+        store_some(t->grad_embedding + e * plane + at, grad_a, n);
+        store_some(t->grad_scale + e * plane + at, 0.5f * grad_s, n);
+    }
+}
+
+/* Adds to grad_embedding, grad_other and grad_table, which several items may share; writes the rest. */
+static void backward_one(const geometry *g, const item *t)
+{
+    const size_t floats = (size_t)((g->channels + g->dims) * padded_size(g));
+    float *const padded = malloc(floats * sizeof *padded), *const padded_grad = calloc(floats, sizeof *padded_grad);
+    pad(g, g->channels, t->source, padded);
+    pad(g, g->dims, t->other, padded + g->channels * padded_size(g));
+    for (long y = 0; y < g->height; ++y) {
+        long offset[MAX_TAPS];
+        tap_offsets(g, y, offset);
+        for (long x0 = 0; x0 < g->width; x0 += BLOCK)
+            backward_block(g, t, padded, padded_grad, offset, y, x0, g->width - x0);
+    }
+    memset(t->grad_source, 0, (size_t)(g->channels * g->source_width * g->source_height) * sizeof(float));
+    unpad_add(g, g->channels, padded_grad, t->grad_source);
+    unpad_add(g, g->dims, padded_grad + g->channels * padded_size(g), t->grad_other);
     free(padded_grad);
     free(padded);
 }
 
-/* source [n][channels][source_height][source_width], logits [n][(2 radius + 1)^2][height][width], out [n][channels]
- * [height][width]. shift 1: height and width are twice the source's. */
-void kernel_forward(long n, long channels, long height, long width, long radius, long shift, const float *source,
-                    const float *logits, float *out)
+/* n items; image[i] says whose embedding item i uses, group[i] whose table. sizes: geometry's members in their order. */
+static item make_item(const geometry *g, long i, const long *image, const long *group, const float *const *in)
 {
-    const geometry g = {width, height, width >> shift, height >> shift, radius, shift};
-    const long taps = (2 * radius + 1) * (2 * radius + 1);
-#pragma omp parallel for schedule(dynamic)
-    for (long i = 0; i < n; ++i)
-        forward_one(&g, channels, source + i * channels * g.source_width * g.source_height,
-                    logits + i * taps * width * height, out + i * channels * width * height);
+    const long plane = g->width * g->height, source_plane = g->source_width * g->source_height;
+    const long tables = (g->shift ? 4 : 1) * num_taps(g);
+    return (item){.source = in[0] + i * g->channels * source_plane,
+                  .embedding = in[1] + image[i] * g->dims * plane,
+                  .other = in[2] + image[i] * g->dims * source_plane,
+                  .scale = in[3] + i * g->dims * plane,
+                  .centre = in[4] ? in[4] + i * plane : NULL,
+                  .table = in[5] + group[i] * tables};
 }
 
-void kernel_backward(long n, long channels, long height, long width, long radius, long shift, const float *source,
-                     const float *logits, const float *grad, float *grad_source, float *grad_logits)
+/* in: source [n], embedding [images], other [images], scale [n], centre [n] or NULL, table [groups]. */
+void guided_forward(long n, const long *sizes, const long *image, const long *group, const float *const *in, float *out)
 {
-    const geometry g = {width, height, width >> shift, height >> shift, radius, shift};
-    const long taps = (2 * radius + 1) * (2 * radius + 1);
+    const geometry g = {sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5], sizes[6], sizes[7]};
 #pragma omp parallel for schedule(dynamic)
+    for (long i = 0; i < n; ++i) {
+        item t = make_item(&g, i, image, group, in);
+        t.out = out + i * g.channels * g.width * g.height;
+        forward_one(&g, &t);
+    }
+}
+
+/* out: gradients in the order of `in`; those of embedding, other and table must be zero at first. In one thread: items
+ * share them, and sums in one order are the same in every run. */
+void guided_backward(long n, const long *sizes, const long *image, const long *group, const float *const *in,
+                     const float *grad, float *const *out)
+{
+    const geometry g = {sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5], sizes[6], sizes[7]};
+    const long plane = g.width * g.height, source_plane = g.source_width * g.source_height;
+    for (long i = 0; i < n; ++i) {
+        item t = make_item(&g, i, image, group, in);
+        t.grad = grad + i * g.channels * plane;
+        t.grad_source = out[0] + i * g.channels * source_plane;
+        t.grad_embedding = out[1] + image[i] * g.dims * plane;
+        t.grad_other = out[2] + image[i] * g.dims * source_plane;
+        t.grad_scale = out[3] + i * g.dims * plane;
+        t.grad_centre = out[4] ? out[4] + i * plane : NULL;
+        t.grad_table = out[5] + group[i] * (g.shift ? 4 : 1) * num_taps(&g);
+        backward_one(&g, &t);
+    }
+}
+
+/* Softmax over the four logits of a cell: w[4]. */
+static void cell_weights(const float *upper, const float *lower, float *w)
+{
+    const float top = fmaxf(fmaxf(upper[0], upper[1]), fmaxf(lower[0], lower[1]));
+    w[0] = expf(upper[0] - top), w[1] = expf(upper[1] - top), w[2] = expf(lower[0] - top), w[3] = expf(lower[1] - top);
+    const float scale = 1.0f / (w[0] + w[1] + w[2] + w[3]);
+    for (long k = 0; k < 4; ++k) w[k] *= scale;
+}
+
+/* values [n][channels][height][width], logits [n][height][width], out [n][channels][height / 2][width / 2]. */
+void partition_forward(long n, long channels, long height, long width, const float *values, const float *logits,
+                       float *out)
+{
     for (long i = 0; i < n; ++i)
-        backward_one(&g, channels, source + i * channels * g.source_width * g.source_height,
-                     logits + i * taps * width * height, grad + i * channels * width * height,
-                     grad_source + i * channels * g.source_width * g.source_height,
-                     grad_logits + i * taps * width * height);
+        for (long y = 0; y < height / 2; ++y) {
+            const float *const l = logits + (i * height + 2 * y) * width;
+            for (long x = 0; x < width / 2; ++x) {
+                float w[4];
+                cell_weights(l + 2 * x, l + width + 2 * x, w);
+                for (long c = 0; c < channels; ++c) {
+                    const float *const v = values + ((i * channels + c) * height + 2 * y) * width + 2 * x;
+                    out[((i * channels + c) * (height / 2) + y) * (width / 2) + x] =
+                        w[0] * v[0] + w[1] * v[1] + w[2] * v[width] + w[3] * v[width + 1];
+                }
+            }
+        }
+}
+
+void partition_backward(long n, long channels, long height, long width, const float *values, const float *logits,
+                        const float *grad, float *grad_values, float *grad_logits)
+{
+    for (long i = 0; i < n; ++i)
+        for (long y = 0; y < height / 2; ++y) {
+            const long at = (i * height + 2 * y) * width;
+            for (long x = 0; x < width / 2; ++x) {
+                const long cell = at + 2 * x, place[4] = {0, 1, width, width + 1};
+                float w[4], d[4] = {0}, mean = 0.0f;
+                cell_weights(logits + cell, logits + cell + width, w);
+                for (long c = 0; c < channels; ++c) {
+                    const long from = ((i * channels + c) * height + 2 * y) * width + 2 * x;
+                    const float g = grad[((i * channels + c) * (height / 2) + y) * (width / 2) + x];
+                    for (long k = 0; k < 4; ++k) {
+                        d[k] += g * values[from + place[k]];
+                        grad_values[from + place[k]] = w[k] * g;
+                    }
+                }
+                for (long k = 0; k < 4; ++k) mean += w[k] * d[k];
+                for (long k = 0; k < 4; ++k) grad_logits[cell + place[k]] = w[k] * (d[k] - mean);
+            }
+        }
 }
