@@ -21,7 +21,7 @@ from training.train import config_from_json, run_folder
 
 MAGIC = b"QUELLWTS"
 VERSION = 1
-KIND = "quell-1"
+KIND = "quell-2"
 NAME_BYTES = 48
 ALIGNMENT = 64
 FLOAT, HALF, INT, TEXT = 0, 1, 2, 3
@@ -59,7 +59,7 @@ def tensors(model: Quell) -> dict[str, np.ndarray]:
     """Weights in the file's order: convolutions [kh][kw][in][out], linear layers [in][out], biases as they are."""
     out = {}
     for name, value in model.net.state_dict().items():
-        name = name.removeprefix("heads.")
+        name = name.replace("heads.", "head.")
         if value.ndim == 4:
             value = value.permute(2, 3, 1, 0)
         elif value.ndim == 2:

@@ -53,8 +53,10 @@ def main() -> None:
     torch.manual_seed(5)
     config = QuellConfig(widths=(16, 32, 16, 48), down_convs=(1, 2, 1, 2), up_convs=(1, 1, 2))
     model = Quell(config)
-    for head in model.net.heads.values():
-        torch.nn.init.normal_(head.weight, std=0.3)
+    for head in model.net.heads:
+        torch.nn.init.normal_(head.weight, std=0.1)
+    for table in (*model.net.filter_table, *model.net.up_table, model.net.color_table):
+        torch.nn.init.normal_(table)
     model = round_to_half(model)
     layers, guides = random_frame(torch.Generator().manual_seed(3))
     values: dict[str, np.ndarray | str] = {
@@ -76,15 +78,14 @@ def main() -> None:
         return hook
 
     hooks = [
-        module.register_forward_hook(trace(name.removeprefix("heads.")))
+        module.register_forward_hook(trace(name.replace("heads.", "head.")))
         for name, module in model.net.named_modules()
         if isinstance(module, torch.nn.Conv2d)
     ]
     full = denoise_frame(model, layers, guides, SPP)
     for hook in hooks:
         hook.remove()
-    # The other groups' heads are the same kind of layer; the frame below runs them.
-    values |= {k: v for k, v in traced.items() if "_" not in k or k.partition(".")[2].startswith("beauty")}
+    values |= traced
     features = frame_features(layers, guides, SPP)
     values["frame.features"] = nhwc(features.planes)
     values["frame.flags"] = features.flags[0].numpy()

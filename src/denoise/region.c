@@ -39,6 +39,8 @@ typedef struct batch {
     const ql_net_maps *maps;
     const ql_plan_set *set;
     int32_t group, set_index;
+    int32_t is_indirect; /* of a group of light: which of its two passes has its turn */
+    ql_pyramid_level levels[QL_PYRAMID_LEVELS];
     int32_t color_role; /* of the colour whose size weighs this group's light, or QUELL_ROLE_OTHER */
     member members[MAX_BATCH];
     uint32_t num_members, num_planes;
@@ -85,20 +87,49 @@ static void read_role(const feature_job *f, int32_t role, uint32_t y, uint32_t n
     for (uint32_t c = 0; c < num; ++c) make_finite(rows[c], width);
 }
 
-static void read_light(const feature_job *f, int32_t direct, int32_t indirect, uint32_t y, float *const *rows,
-                       float *const *other)
+/* Adds a role's row to rows. */
+static void add_role(const feature_job *f, int32_t role, uint32_t y, float *const *rows, float *const *spare)
 {
-    read_role(f, direct, y, 3, rows);
-    read_role(f, indirect, y, 3, other);
+    if (f->set->role_layer[role] == QL_PLAN_NONE) return;
+    read_role(f, role, y, 3, spare);
     for (uint32_t c = 0; c < 3; ++c)
-        for (uint32_t x = 0; x < f->job->frame->width; ++x) rows[c][x] += other[c][x];
+        for (uint32_t x = 0; x < f->job->frame->width; ++x) rows[c][x] += spare[c][x];
 }
 
-static void make_row(const feature_job *f, uint32_t region_y, uint32_t worker, float *out)
+/* The light passes of row y into rows from *next on, which moves behind them. */
+static void read_light(const feature_job *f, uint32_t y, float *const **next, float *const *spare, ql_feature_rows *in)
 {
     static const int32_t direct[4] = {QUELL_ROLE_DIFFUSE_DIRECT, QUELL_ROLE_GLOSSY_DIRECT,
                                       QUELL_ROLE_TRANSMISSION_DIRECT, QUELL_ROLE_VOLUME_DIRECT};
     static const int32_t color[3] = {QUELL_ROLE_DIFFUSE_COLOR, QUELL_ROLE_GLOSSY_COLOR, QUELL_ROLE_TRANSMISSION_COLOR};
+    const uint32_t rx = f->region->rx;
+    const size_t row_bytes = f->job->frame->width * sizeof(float);
+    for (uint32_t i = 0; i < 4; ++i) {
+        float *const *const light = *next;
+        read_role(f, direct[i], y, 3, light);
+        *next += 3;
+        if (i < 3) {
+            for (uint32_t c = 0; c < 3; ++c) {
+                memcpy((*next)[c], light[c], row_bytes);
+                in->direct[i][c] = (*next)[c] + rx;
+            }
+            *next += 3;
+        }
+        add_role(f, direct[i] + 1, y, light, spare);
+        for (uint32_t c = 0; c < 3; ++c) in->light[i][c] = light[c] + rx;
+    }
+    for (uint32_t i = 0; i < 3; ++i, *next += 3) {
+        read_role(f, color[i], y, 3, *next);
+        for (uint32_t c = 0; c < 3; ++c) in->color[i][c] = (*next)[c] + rx;
+    }
+    read_role(f, QUELL_ROLE_EMISSION, y, 3, *next);
+    if (f->set->combined == QL_COMBINED_PASSES_ENVIRONMENT) add_role(f, QUELL_ROLE_ENVIRONMENT, y, *next, spare);
+    for (uint32_t c = 0; c < 3; ++c) in->emission[c] = (*next)[c] + rx;
+    *next += 3;
+}
+
+static void make_row(const feature_job *f, uint32_t region_y, uint32_t worker, float *out)
+{
     const ql_frame *const frame = f->job->frame;
     const ql_region *const region = f->region;
     const uint32_t y = region->ry + region_y, width = frame->width;
@@ -121,17 +152,7 @@ static void make_row(const feature_job *f, uint32_t region_y, uint32_t worker, f
         in.alpha = next[0] + region->rx;
         next += 1;
     }
-    if (f->setup->has_light) {
-        float *const *const spare = rows + FEATURE_ROWS - 3;
-        for (uint32_t i = 0; i < 4; ++i, next += 3) {
-            read_light(f, direct[i], direct[i] + 1, y, next, spare);
-            for (uint32_t c = 0; c < 3; ++c) in.light[i][c] = next[c] + region->rx;
-        }
-        for (uint32_t i = 0; i < 3; ++i, next += 3) {
-            read_role(f, color[i], y, 3, next);
-            for (uint32_t c = 0; c < 3; ++c) in.color[i][c] = next[c] + region->rx;
-        }
-    }
+    if (f->setup->has_light) read_light(f, y, (float *const **)&next, rows + FEATURE_ROWS - 3, &in);
     if (f->setup->has_albedo) {
         read_role(f, QUELL_ROLE_DENOISING_ALBEDO, y, 3, next);
         for (uint32_t c = 0; c < 3; ++c) in.albedo[c] = next[c] + region->rx;
@@ -192,9 +213,37 @@ static quell_status run_network(ql_job *job, ql_env *env, const ql_plan_set *set
 
 /* ---- Filters ------------------------------------------------------------------------------------------------------ */
 
-static uint32_t net_group(int32_t group)
+static int is_light(int32_t group)
 {
-    return (uint32_t)(group == QL_GROUP_COLOR ? QL_GROUP_BEAUTY : group);
+    return group >= QL_GROUP_DIFFUSE && group <= QL_GROUP_VOLUME;
+}
+
+/* Index of the network's group: beauty, then direct and indirect light. */
+static uint32_t net_group(const batch *b)
+{
+    return is_light(b->group) ? (uint32_t)(1 + 2 * (b->group - QL_GROUP_DIFFUSE) + b->is_indirect) : 0;
+}
+
+/* What the batch's pyramid has of the network's maps and tables. */
+static void set_levels(batch *b)
+{
+    const uint32_t group = net_group(b);
+    for (uint32_t l = 0; l < QL_PYRAMID_LEVELS; ++l) {
+        const ql_planes *const embedding = &b->maps->embedding[l];
+        const ql_planes *const pooled = l + 1 < QL_PYRAMID_LEVELS ? &b->maps->pooled[l] : embedding;
+        b->levels[l] = (ql_pyramid_level){
+            .embedding = ql_planes_row(embedding, 0, 0),
+            .pooled = ql_planes_row(pooled, 0, 0),
+            .stride = embedding->stride,
+            .pooled_stride = pooled->stride,
+            .plane = embedding->plane,
+            .pooled_plane = pooled->plane,
+            .table = b->job->net->filter_table[l] + (size_t)group * QL_FILTER_TAPS,
+        };
+        if (l + 1 < QL_PYRAMID_LEVELS)
+            b->levels[l].up_table = b->job->net->up_table[l] + (size_t)group * 4 * QL_UP_TAPS;
+    }
+    if (b->group == QL_GROUP_COLOR) b->levels[0].table = b->job->net->color_table;
 }
 
 static float *worker_scratch(const batch *b, uint32_t worker)
@@ -206,14 +255,14 @@ static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_
 {
     const batch *const b = user;
     const uint32_t head = b->group == QL_GROUP_COLOR ? QL_HEAD_COLOR : part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, net_group(b->group), head, x, y, num,
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, net_group(b), head, x, y, num,
                        worker_scratch(b, worker), out);
 }
 
 static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker, float *out)
 {
     const batch *const b = user;
-    ql_net_coarse_logits(b->job->net, b->job->kernels, b->maps, net_group(b->group), level, y,
+    ql_net_coarse_logits(b->job->net, b->job->kernels, b->maps, net_group(b), level, y,
                          worker_scratch(b, worker), out);
 }
 
@@ -334,6 +383,12 @@ static uint32_t num_filtered_channels(const ql_layer *layer, const ql_scan *scan
     return colors + (has_alpha ? 1 : 0);
 }
 
+static int is_indirect_role(int32_t role)
+{
+    return role == QUELL_ROLE_DIFFUSE_INDIRECT || role == QUELL_ROLE_GLOSSY_INDIRECT ||
+           role == QUELL_ROLE_TRANSMISSION_INDIRECT || role == QUELL_ROLE_VOLUME_INDIRECT;
+}
+
 /* Fills the batch with layers of its group from *next on, as many as fit. */
 static void fill_batch(batch *b, uint32_t *next, int combined_only)
 {
@@ -345,6 +400,7 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
     for (; *next < plan->num_layers && b->num_members < MAX_BATCH; ++*next) {
         const ql_plan_layer *const layer = &plan->layers[*next];
         if (layer->action != QUELL_ACTION_DENOISED || layer->set != b->set_index || layer->group != b->group) continue;
+        if (is_light(b->group) && is_indirect_role(b->job->frame->layers[*next].role) != b->is_indirect) continue;
         if (combined_only != ((int32_t)*next == combined)) continue;
         member m = {.layer = (int32_t)*next};
         m.source = &b->job->frame->layers[layer->source];
@@ -372,7 +428,8 @@ static size_t batch_scratch_floats(uint32_t image_width)
 
 static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error *err)
 {
-    const ql_pyramid_source source = {b, give_fine, give_coarse, give_values, take_result};
+    const ql_pyramid_source source = {b, QL_NET_DIMS, b->levels, give_fine, give_coarse, give_values, take_result};
+    set_levels(b);
     for (uint32_t next = 0; next < b->job->plan->num_layers;) {
         fill_batch(b, &next, combined_only);
         if (b->num_members == 0) continue;
@@ -414,7 +471,8 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
         env->progress_from = from + (to - from) * i / (QL_NUM_GROUPS + 1);
         env->progress_to = from + (to - from) * (i + 1) / (QL_NUM_GROUPS + 1);
         /* The last two rounds are the beauty group: Combined's parts first, then Combined. */
-        status = run_group(&b, env, i == QL_NUM_GROUPS, err);
+        for (b.is_indirect = 0; b.is_indirect <= is_light(b.group) && status == QUELL_OK; ++b.is_indirect)
+            status = run_group(&b, env, i == QL_NUM_GROUPS, err);
     }
     env->progress_from = from;
     env->progress_to = to;
@@ -448,10 +506,8 @@ uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t i
     /* Maps stay while the filters run; the widest batch has QL_PYRAMID_MAX_PLANES planes, most have seven. */
     uint32_t planes = plan->num_denoised * 3 + 2;
     if (planes > QL_PYRAMID_MAX_PLANES) planes = QL_PYRAMID_MAX_PLANES;
-    uint64_t maps = 0;
-    for (uint32_t l = 0; l < QL_NET_LEVELS; ++l)
-        maps += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
-    const uint64_t filters = maps + ql_pyramid_peak_bytes(width, height, planes, num_workers) +
+    const uint64_t filters = ql_net_maps_bytes(net, width, height) +
+                             ql_pyramid_peak_bytes(width, height, planes, QL_NET_DIMS, num_workers) +
                              num_workers * sizeof(float) * batch_scratch_floats(image_width);
     return network > filters ? network : filters;
 }

@@ -14,6 +14,7 @@
 
 enum { QL_BLOCK = 16 };        /* output channels come in blocks of this many */
 enum { QL_MAX_CONV_ROWS = 5 }; /* 5x5 */
+enum { QL_MAX_DIMS = 16 };      /* of an embedding */
 
 /* A convolution of one row, whatever its size: out[x][c] = act(bias[c] + sum over rows r and k < num_k of
  * rows[r][x * stride + k] * weights[c / 16][r * num_k + k][c % 16] + add[x][c]).
@@ -30,26 +31,39 @@ typedef struct ql_conv_row {
 } ql_conv_row;
 typedef void ql_conv_row_fn(const ql_conv_row *conv);
 
-/* Kernel application, [dgan-kpn] eq. 1 and 2: out[c][x] = sum_k softmax_k(logits)[k][x] * in[c][y + dy][x + dx].
- * logits: 25 planes, logits_stride floats apart, each num_pixels long. in[c] points at (x, y) of channel c, of which 2
- * pixels on every side are readable; in_stride: floats between its rows. */
+/* How alike two pixels are: planes of an embedding, and how sharply each of its dimensions is looked at. Used below as
+ * distance(x, q) = sum_e sharpness[e][x] * (embedding[e][x] - other[e][q])^2. */
+typedef struct ql_affinity {
+    const float *embedding; /* dimension 0 at pixel 0 of the row */
+    size_t embedding_plane; /* floats between dimensions */
+    const float *other;     /* dimension 0 at the central tap of pixel 0 */
+    size_t other_plane;
+    ptrdiff_t other_stride; /* floats between rows */
+    const float *sharpness; /* dimension 0 at pixel 0, >= 0 */
+    size_t sharpness_plane;
+    uint32_t num_dims; /* at most QL_MAX_DIMS */
+} ql_affinity;
+
+/* Guided kernels applied: out[c][x] = sum_k softmax_k(logit)[k][x] * in[c][y + dy][x + dx],
+ * logit[k][x] = table[k] + [k = 12] * centre[x] - distance(x, k).
+ * in[c] and affinity.other point at (x, y), of which 2 pixels on every side are readable; in_stride: floats between the
+ * rows of in. */
 typedef struct ql_filter_row {
-    const float *logits;
-    size_t logits_stride;
-    const float *const *in; /* [num_channels] */
+    ql_affinity affinity;
+    const float *centre, *table; /* [num_pixels], [25] */
+    const float *const *in;      /* [num_channels] */
     ptrdiff_t in_stride;
     float *const *out; /* [num_channels] */
     uint32_t num_channels, num_pixels;
 } ql_filter_row;
 typedef void ql_filter_row_fn(const ql_filter_row *filter);
 
-/* out[c][x] = (1 - a) * out[c][x] + a * sum_k softmax_k(logits)[k][x] * in[c][y/2 + dy][x/2 + dx], a = sigmoid(blend[x]).
- * logits: 9 planes. in[c] points at the parent of pixel 0 (x is even there), 1 pixel on every side is readable.
- * num_pixels is even. */
+/* out[c][x] = (1 - a) * out[c][x] + a * sum_k softmax_k(logit)[k][x] * in[c][y/2 + dy][x/2 + dx], a = sigmoid(blend[x]),
+ * logit[k][x] = table[x % 2][k] - distance(x, k). in[c] and affinity.other point at the parent of pixel 0 (x is even
+ * there), 1 pixel on every side is readable. num_pixels is even. */
 typedef struct ql_upsample_row {
-    const float *logits;
-    size_t logits_stride;
-    const float *blend;
+    ql_affinity affinity;
+    const float *blend, *table[2]; /* [num_pixels], [9] each */
     const float *const *in;
     ptrdiff_t in_stride;
     float *const *out;
@@ -69,6 +83,9 @@ typedef void ql_partition_row_fn(const ql_partition_row *partition);
 
 /* out[x] = sigmoid(clamp(logits[x], -12, 12)). in may be out. */
 typedef void ql_sigmoid_row_fn(const float *logits, float *out, uint32_t num_pixels);
+
+/* out[x] = exp(clamp(logits[x], -8, 8)). in may be out. */
+typedef void ql_exp_row_fn(const float *logits, float *out, uint32_t num_pixels);
 
 /* out[x] = 0.5 * log(1 + 8 * max(0, scale * in[x])): radiance as the network sees it. in may be out. */
 typedef void ql_tone_row_fn(const float *in, float scale, float *out, uint32_t num_pixels);
@@ -118,6 +135,7 @@ typedef struct ql_kernels {
     ql_upsample_row_fn *upsample_row;
     ql_partition_row_fn *partition_row;
     ql_sigmoid_row_fn *sigmoid_row;
+    ql_exp_row_fn *exp_row;
     ql_tone_row_fn *tone_row;
     ql_planes_row_fn *planes_row;
     ql_softmax_row_fn *softmax_row;

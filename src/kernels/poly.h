@@ -30,6 +30,7 @@
 #define QL_LOG_C7 (2.0f / 7.0f)
 #define QL_LOG_C9 (2.0f / 9.0f)
 
+#define QL_SHARPNESS_RANGE 8.0f /* training/models/pyramid.py: MAX_SCALE */
 #define QL_SIGMOID_RANGE 12.0f /* training/models/quell.py: IMPORTANCE_RANGE */
 
 #endif

@@ -168,15 +168,11 @@ static void conv_row(const ql_conv_row *conv)
 
 /* ---- Kernels applied ---------------------------------------------------------------------------------------------- */
 
-/* Stores exp(logit - max) of up to 25 planes at x and returns 1 / their sum. */
-static inline vf softmax_at(const float *logits, size_t stride, size_t num, size_t n, vf *weights)
+/* Replaces num logits by exp(logit - max) and returns 1 / their sum. */
+static inline vf softmax(vf *weights, size_t num)
 {
-    vf top = v_load_some(logits, n), sum = v_set1(0.0f);
-    weights[0] = top;
-    for (size_t k = 1; k < num; ++k) {
-        weights[k] = v_load_some(logits + k * stride, n);
-        top = v_max(top, weights[k]);
-    }
+    vf top = weights[0], sum = v_set1(0.0f);
+    for (size_t k = 1; k < num; ++k) top = v_max(top, weights[k]);
     for (size_t k = 0; k < num; ++k) {
         weights[k] = v_exp(v_sub(weights[k], top));
         sum = v_add(sum, weights[k]);
@@ -184,38 +180,88 @@ static inline vf softmax_at(const float *logits, size_t stride, size_t num, size
     return v_div(v_set1(1.0f), sum);
 }
 
+/* What a block of pixels needs of an affinity: its own embedding and minus its sharpness. */
+typedef struct own_affinity {
+    vf embedding[QL_MAX_DIMS], sharpness[QL_MAX_DIMS];
+} own_affinity;
+
+static inline __attribute__((always_inline)) void load_own(const ql_affinity *a, size_t x, size_t n, own_affinity *own)
+{
+    for (size_t e = 0; e < a->num_dims; ++e) {
+        own->embedding[e] = v_load_some(a->embedding + e * a->embedding_plane + x, n);
+        own->sharpness[e] = v_sub(v_set1(0.0f), v_load_some(a->sharpness + e * a->sharpness_plane + x, n));
+    }
+}
+
+/* n lanes; a constant QL_W for whole blocks, so that no load asks again how many there are. */
+static inline __attribute__((always_inline)) void filter_block(const ql_filter_row *filter, size_t x, size_t n)
+{
+    const ql_affinity *const a = &filter->affinity;
+    own_affinity own;
+    vf weights[25];
+    load_own(a, x, n, &own);
+    for (ptrdiff_t k = 0; k < 25; ++k) {
+        const float *const other = a->other + x + (k / 5 - 2) * a->other_stride + k % 5 - 2;
+        vf logit = v_set1(filter->table[k]);
+        if (k == 12) logit = v_add(logit, v_load_some(filter->centre + x, n));
+        for (size_t e = 0; e < a->num_dims; ++e) {
+            const vf d = v_sub(own.embedding[e], v_load_some(other + e * a->other_plane, n));
+            logit = v_fma(v_mul(own.sharpness[e], d), d, logit);
+        }
+        weights[k] = logit;
+    }
+    const vf scale = softmax(weights, 25);
+    for (size_t c = 0; c < filter->num_channels; ++c) {
+        const float *const in = filter->in[c] + x;
+        vf sum = v_set1(0.0f);
+        for (ptrdiff_t k = 0; k < 25; ++k)
+            sum = v_fma(weights[k], v_load_some(in + (k / 5 - 2) * filter->in_stride + k % 5 - 2, n), sum);
+        v_store_some(filter->out[c] + x, v_mul(sum, scale), n);
+    }
+}
+
 static void filter_row(const ql_filter_row *filter)
 {
-    for (size_t x = 0; x < filter->num_pixels; x += QL_W) {
-        const size_t n = filter->num_pixels - x;
-        vf weights[25];
-        const vf scale = softmax_at(filter->logits + x, filter->logits_stride, 25, n, weights);
-        for (size_t c = 0; c < filter->num_channels; ++c) {
-            const float *const in = filter->in[c] + x;
-            vf sum = v_set1(0.0f);
-            for (ptrdiff_t k = 0; k < 25; ++k)
-                sum = v_fma(weights[k], v_load_some(in + (k / 5 - 2) * filter->in_stride + k % 5 - 2, n), sum);
-            v_store_some(filter->out[c] + x, v_mul(sum, scale), n);
+    size_t x = 0;
+    for (; x + QL_W <= filter->num_pixels; x += QL_W) filter_block(filter, x, QL_W);
+    if (x < filter->num_pixels) filter_block(filter, x, filter->num_pixels - x);
+}
+
+static inline __attribute__((always_inline)) void upsample_block(const ql_upsample_row *up, vf odd, size_t x, size_t n)
+{
+    const ql_affinity *const a = &up->affinity;
+    own_affinity own;
+    vf weights[9];
+    load_own(a, x, n, &own);
+    for (ptrdiff_t k = 0; k < 9; ++k) {
+        const float *const other = a->other + x / 2 + (k / 3 - 1) * a->other_stride + k % 3 - 1;
+        vf logit = v_gt_select(odd, v_set1(0.0f), v_set1(up->table[1][k]), v_set1(up->table[0][k]));
+        for (size_t e = 0; e < a->num_dims; ++e) {
+            const vf d = v_sub(own.embedding[e], v_twice(other + e * a->other_plane, n));
+            logit = v_fma(v_mul(own.sharpness[e], d), d, logit);
         }
+        weights[k] = logit;
+    }
+    const vf scale = softmax(weights, 9);
+    const vf blend = v_sigmoid(v_load_some(up->blend + x, n)), rest = v_sub(v_set1(1.0f), blend);
+    for (size_t c = 0; c < up->num_channels; ++c) {
+        const float *const in = up->in[c] + x / 2;
+        vf sum = v_set1(0.0f);
+        for (ptrdiff_t k = 0; k < 9; ++k)
+            sum = v_fma(weights[k], v_twice(in + (k / 3 - 1) * up->in_stride + k % 3 - 1, n), sum);
+        const vf old = v_load_some(up->out[c] + x, n);
+        v_store_some(up->out[c] + x, v_fma(rest, old, v_mul(blend, v_mul(sum, scale))), n);
     }
 }
 
 static void upsample_row(const ql_upsample_row *up)
 {
-    for (size_t x = 0; x < up->num_pixels; x += QL_W) {
-        const size_t n = up->num_pixels - x < QL_W ? up->num_pixels - x : QL_W;
-        vf weights[9];
-        const vf scale = softmax_at(up->logits + x, up->logits_stride, 9, n, weights);
-        const vf a = v_sigmoid(v_load_some(up->blend + x, n)), b = v_sub(v_set1(1.0f), a);
-        for (size_t c = 0; c < up->num_channels; ++c) {
-            const float *const in = up->in[c] + x / 2;
-            vf sum = v_set1(0.0f);
-            for (ptrdiff_t k = 0; k < 9; ++k)
-                sum = v_fma(weights[k], v_twice(in + (k / 3 - 1) * up->in_stride + k % 3 - 1, n), sum);
-            const vf old = v_load_some(up->out[c] + x, n);
-            v_store_some(up->out[c] + x, v_fma(b, old, v_mul(a, v_mul(sum, scale))), n);
-        }
-    }
+    float parity[QL_W];
+    for (size_t i = 0; i < QL_W; ++i) parity[i] = (float)(i % 2);
+    const vf odd = v_load(parity);
+    size_t x = 0;
+    for (; x + QL_W <= up->num_pixels; x += QL_W) upsample_block(up, odd, x, QL_W);
+    if (x < up->num_pixels) upsample_block(up, odd, x, up->num_pixels - x);
 }
 
 static void partition_row(const ql_partition_row *partition)
@@ -252,6 +298,15 @@ static void sigmoid_row(const float *logits, float *out, uint32_t num_pixels)
     }
 }
 
+static void exp_row(const float *logits, float *out, uint32_t num_pixels)
+{
+    for (size_t x = 0; x < num_pixels; x += QL_W) {
+        const size_t n = num_pixels - x;
+        const vf range = v_set1(QL_SHARPNESS_RANGE), z = v_max(v_load_some(logits + x, n), v_sub(v_set1(0.0f), range));
+        v_store_some(out + x, v_exp(v_min(z, range)), n);
+    }
+}
+
 static void tone_row(const float *in, float scale, float *out, uint32_t num_pixels)
 {
     for (size_t x = 0; x < num_pixels; x += QL_W) {
@@ -269,5 +324,6 @@ static void fill_table(ql_kernels *kernels, const char *name)
     kernels->upsample_row = upsample_row;
     kernels->partition_row = partition_row;
     kernels->sigmoid_row = sigmoid_row;
+    kernels->exp_row = exp_row;
     kernels->tone_row = tone_row;
 }

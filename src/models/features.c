@@ -100,4 +100,15 @@ void ql_make_feature_row(const ql_kernels *kernels, const ql_feature_setup *setu
             to[2 + i] = setup->has_light ? squash((color[0][x] + color[1][x] + color[2][x]) / 3.0f) : 0.0f;
         }
     }
+    feature += 5;
+    for (uint32_t i = 0; i < 4; ++i, ++feature) {
+        const float *const *const light = i < 3 ? rows->direct[i] : rows->emission;
+        if (setup->has_light) {
+            for (size_t x = 0; x < num_pixels; ++x) scratch[x] = (light[0][x] + light[1][x] + light[2][x]) / 3.0f;
+            kernels->tone_row(scratch, scale, scratch, num_pixels);
+            put(scratch, num_pixels, feature, out);
+        } else {
+            put_value(0.0f, num_pixels, feature, out);
+        }
+    }
 }

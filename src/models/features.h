@@ -7,13 +7,16 @@
 
 #include <stdint.h>
 
-enum { QL_NUM_FEATURES = 28, QL_NUM_FLAGS = 6 };
+enum { QL_NUM_FEATURES = 32, QL_NUM_FLAGS = 6 };
+enum { QL_FIRST_GUIDE = 15, QL_NUM_GUIDES = 13 }; /* albedo, normal, depth, alpha, colours: the embedding starts there */
 enum { QL_KEY_EXPONENT = 2 }; /* the log average is brought to 2^-2, near middle grey */
 
 /* Planar rows of num_pixels values each, finite, bad pixels being 0; NULL: the frame has no such pass. */
 typedef struct ql_feature_rows {
     const float *beauty[3];
-    const float *light[4][3]; /* diffuse, glossy, transmission (direct + indirect), volume; all or none */
+    const float *light[4][3];  /* diffuse, glossy, transmission, volume: direct + indirect; all or none */
+    const float *direct[3][3]; /* diffuse, glossy, transmission; with light */
+    const float *emission[3];  /* with light: emission, and environment where it is part of Combined */
     const float *color[3][3]; /* diffuse, glossy, transmission; with light */
     const float *albedo[3];
     const float *normal[3];
@@ -36,7 +39,7 @@ int32_t ql_log_exponent(const float *bins, size_t num);
 /* The constant inputs, training/features.py: flags. */
 void ql_make_flags(const ql_feature_setup *setup, float flags[QL_NUM_FLAGS]);
 
-/* One row: out[x][QL_NUM_FEATURES]. scratch: num_pixels floats. */
+/* One row: out[x][QL_NUM_FEATURES]. scratch: num_pixels floats. Light that the frame lacks is all zero. */
 void ql_make_feature_row(const ql_kernels *kernels, const ql_feature_setup *setup, const ql_feature_rows *rows,
                          uint32_t num_pixels, float *scratch, float *out);
 

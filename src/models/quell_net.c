@@ -1,51 +1,93 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The U-Net and its heads. Knows maps and logits, no layers of a frame. */
+/* The U-Net and its heads. Knows maps and planes, no layers of a frame. */
 #include "models/quell_net.h"
 
 #include <stdio.h>
 #include <string.h>
 
-static const char *const group_names[QL_NET_GROUPS] = {"beauty", "diffuse", "glossy", "transmission", "volume"};
+enum { MAX_LEVEL_PLANES = 160, FINE_FIELDS = QL_NET_DIMS + 4 /* centre, blend, partition, importance */ };
 
-/* The file holds a full-resolution head as pixel-shuffled channels k * 4 + dy * 2 + dx of 37 logits: 25 kernel, 9
- * upsampling, blend, partition, importance. Picks some k, ordered [dy][k][dx], so that a fine row is one slice. */
-static uint32_t fine_order(uint32_t first, uint32_t num, uint32_t *order)
+/* Planes of one group at a level of the heads; 0: full resolution. training/models/quell.py: group_planes */
+static uint32_t group_planes(uint32_t level)
+{
+    return level == 0 ? FINE_FIELDS : ql_coarse_planes(level);
+}
+
+/* Where the embedding of a level's head begins, after the groups and, at full resolution, colours and mix. */
+static uint32_t embedding_plane(uint32_t level)
+{
+    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? ql_head_planes(QL_HEAD_COLOR) + 1 : 0);
+}
+
+/* Which of the file's channels are `num` planes from `first` on. At full resolution the file holds pixel-shuffled
+ * channels plane * 4 + dy * 2 + dx; they are ordered [dy][plane][dx], so that a fine row is one slice. */
+static uint32_t pick(uint32_t level, uint32_t first, uint32_t num, uint32_t *order)
 {
     uint32_t n = 0;
-    for (uint32_t dy = 0; dy < 2; ++dy)
+    for (uint32_t dy = 0; dy < (level == 0 ? 2u : 1u); ++dy)
         for (uint32_t k = first; k < first + num; ++k)
-            for (uint32_t dx = 0; dx < 2; ++dx) order[n++] = k * 4 + dy * 2 + dx;
+            for (uint32_t dx = 0; dx < (level == 0 ? 2u : 1u); ++dx) order[n++] = level == 0 ? k * 4 + dy * 2 + dx : k;
     return n;
 }
 
 uint32_t ql_head_planes(uint32_t head)
 {
-    static const uint32_t planes[] = {2, QL_FILTER_TAPS + QL_UP_TAPS + 1, QL_FILTER_TAPS, 1};
+    static const uint32_t planes[] = {2, QL_NET_DIMS + 2, QL_NET_DIMS + 1, 1};
     return planes[head];
+}
+
+uint32_t ql_coarse_planes(uint32_t level)
+{
+    return QL_NET_DIMS + (level < QL_NET_LEVELS ? 3 : 1);
+}
+
+static quell_status load_head(const ql_net *net, const ql_weights *weights, uint32_t level, uint32_t first,
+                              uint32_t num, ql_conv *conv, ql_memory *memory, ql_error *err)
+{
+    uint32_t order[4 * MAX_LEVEL_PLANES];
+    char name[QL_RECORD_NAME_BYTES];
+    snprintf(name, sizeof name, "head.%u", level);
+    const uint32_t file_planes = (embedding_plane(level) + QL_NET_DIMS) * (level == 0 ? 4 : 1);
+    const uint32_t num_order = pick(level, first, num, order);
+    return ql_conv_load(conv, weights, name, 1, net->widths[level > 0 ? level - 1 : 0], file_planes, order, num_order,
+                        memory, err);
 }
 
 static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
 {
-    enum { FINE = QL_FILTER_TAPS + QL_UP_TAPS + 3 };
-    const uint32_t *const w = net->widths;
-    uint32_t order[4 * FINE], num;
-    char name[QL_RECORD_NAME_BYTES];
+    const uint32_t down = QL_NET_DIMS + 2, color = QL_NET_GROUPS * FINE_FIELDS;
     for (uint32_t g = 0; g < QL_NET_GROUPS; ++g) {
-        snprintf(name, sizeof name, "%s_0", group_names[g]);
-        num = fine_order(FINE - 2, 2, order);
-        QL_TRY(ql_conv_load(&net->head_down[g], weights, name, 1, w[0], 4 * FINE, order, num, memory, err));
-        num = fine_order(0, FINE - 2, order);
-        QL_TRY(ql_conv_load(&net->head_up[g], weights, name, 1, w[0], 4 * FINE, order, num, memory, err));
-        for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
-            const uint32_t planes = l + 1 < QL_NET_LEVELS ? QL_COARSE_PLANES : QL_FILTER_TAPS;
-            snprintf(name, sizeof name, "%s_%u", group_names[g], l + 1);
-            QL_TRY(ql_conv_load(&net->head[g][l], weights, name, 1, w[l], planes, NULL, 0, memory, err));
-        }
+        QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS, down, &net->head_up[g], memory, err));
+        QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS + down, 2, &net->head_down[g], memory, err));
+        for (uint32_t l = 1; l <= QL_NET_LEVELS; ++l)
+            QL_TRY(load_head(net, weights, l, g * group_planes(l), group_planes(l), &net->head[g][l - 1], memory, err));
     }
-    num = fine_order(0, QL_FILTER_TAPS, order);
-    QL_TRY(ql_conv_load(&net->head_color, weights, "color_0", 1, w[0], 4 * QL_FILTER_TAPS, order, num, memory, err));
-    num = fine_order(0, 1, order);
-    return ql_conv_load(&net->head_mix, weights, "mix_0", 1, w[0], 4, order, num, memory, err);
+    QL_TRY(load_head(net, weights, 0, color, QL_NET_DIMS + 1, &net->head_color, memory, err));
+    QL_TRY(load_head(net, weights, 0, color + QL_NET_DIMS + 1, 1, &net->head_mix, memory, err));
+    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
+        QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
+    return ql_conv_load(&net->guides, weights, "guides", 1, QL_NUM_GUIDES, QL_NET_DIMS, NULL, 0, memory, err);
+}
+
+static quell_status load_table(const ql_weights *weights, const char *name, size_t num, float **table,
+                               ql_memory *memory, ql_error *err)
+{
+    *table = ql_alloc(memory, num, sizeof **table);
+    if (*table == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory", weights->origin);
+    return ql_weights_get_floats(weights, name, *table, num, err);
+}
+
+static quell_status load_tables(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
+{
+    char name[QL_RECORD_NAME_BYTES];
+    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
+        snprintf(name, sizeof name, "filter_table.%u", l);
+        QL_TRY(load_table(weights, name, QL_NET_GROUPS * QL_FILTER_TAPS, &net->filter_table[l], memory, err));
+        if (l == QL_NET_LEVELS) break;
+        snprintf(name, sizeof name, "up_table.%u", l);
+        QL_TRY(load_table(weights, name, (size_t)QL_NET_GROUPS * 4 * QL_UP_TAPS, &net->up_table[l], memory, err));
+    }
+    return load_table(weights, "color_table", QL_FILTER_TAPS, &net->color_table, memory, err);
 }
 
 static quell_status load_body(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
@@ -108,6 +150,7 @@ quell_status ql_net_load(ql_net *net, const ql_weights *weights, ql_memory *memo
     quell_status status = read_shape(net, weights, err);
     if (status == QUELL_OK) status = load_body(net, weights, memory, err);
     if (status == QUELL_OK) status = load_heads(net, weights, memory, err);
+    if (status == QUELL_OK) status = load_tables(net, weights, memory, err);
     if (status != QUELL_OK) ql_net_free(net, memory);
     return status;
 }
@@ -130,25 +173,29 @@ void ql_net_free(ql_net *net, ql_memory *memory)
     }
     ql_conv_free(&net->head_color, memory);
     ql_conv_free(&net->head_mix, memory);
+    ql_conv_free(&net->guides, memory);
+    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
+        ql_conv_free(&net->embedding[l], memory);
+        ql_free(memory, net->filter_table[l]);
+        if (l < QL_NET_LEVELS) ql_free(memory, net->up_table[l]);
+    }
+    ql_free(memory, net->color_table);
     memset(net, 0, sizeof *net);
 }
 
 double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has_light)
 {
     static const double per[QL_NET_LEVELS] = {1.0 / 4, 1.0 / 16, 1.0 / 64, 1.0 / 256};
-    double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = 0.0;
+    double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = (double)FINE_FIELDS * net->widths[0];
+    total += QL_NET_DIMS * (double)(net->widths[0] + QL_NUM_GUIDES);
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const double w = net->widths[l];
-        total += 9.0 * w * w * net->down_convs[l] * per[l];
-        if (l + 1 < QL_NET_LEVELS) {
+        total += (9.0 * w * w * net->down_convs[l] + QL_NET_DIMS * w) * per[l];
+        if (l + 1 < QL_NET_LEVELS)
             total += 5.0 * w * net->widths[l + 1] * per[l + 1] + 9.0 * w * w * net->up_convs[l] * per[l];
-            head += w * QL_COARSE_PLANES * per[l];
-        } else {
-            head += w * QL_FILTER_TAPS * per[l];
-        }
+        head += w * group_planes(l + 1) * per[l];
     }
-    head += 4.0 * (QL_COARSE_PLANES + 1) * net->widths[0] * per[0];
-    if (has_light) total += 4.0 * (QL_FILTER_TAPS + 1) * net->widths[0] * per[0];
+    if (has_light) total += (double)(QL_NET_DIMS + 2) * net->widths[0];
     return total + num_groups * head;
 }
 
@@ -167,22 +214,48 @@ uint32_t ql_net_reach(const ql_net *net)
 /* ---- The body ----------------------------------------------------------------------------------------------------- */
 
 typedef struct stem_job {
-    const ql_conv *stem;
+    const ql_conv *stem, *guides;
     const ql_kernels *kernels;
     const float *bias;
     ql_feature_source_fn *source;
     void *user;
     ql_map *out;
-    float *scratch; /* [workers][2 rows][width][features] */
+    const ql_planes *embedding; /* takes the guides' share */
+    float *scratch;             /* [workers][2 rows][width][features], [workers][QL_HEAD_BUFFER] */
 } stem_job;
+
+/* Rows of interleaved features to planes of the embedding's first share. */
+static void guide_row(const stem_job *job, const float *features, uint32_t y, float *buffer)
+{
+    const uint32_t width = job->embedding->width, span = QL_HEAD_BUFFER / job->guides->num_out;
+    for (uint32_t x = 0; x < width; x += span) {
+        const uint32_t num = width - x < span ? width - x : span;
+        const ql_conv_row conv = {
+            .rows = {features + (size_t)x * QL_NUM_FEATURES + QL_FIRST_GUIDE, NULL, NULL},
+            .weights = job->guides->weights,
+            .bias = job->guides->bias,
+            .out = buffer,
+            .num_rows = 1,
+            .num_k = QL_NUM_GUIDES,
+            .stride = QL_NUM_FEATURES,
+            .num_pixels = num,
+            .num_out = job->guides->num_out,
+        };
+        job->kernels->conv_row(&conv);
+        job->kernels->planes_row(buffer, conv.num_out, QL_NET_DIMS, 1, ql_planes_row(job->embedding, 0, y) + x,
+                                 job->embedding->plane, num);
+    }
+}
 
 static void stem_task(void *user, uint32_t task, uint32_t worker)
 {
     const stem_job *const job = user;
     const size_t row = (size_t)job->out->width * 2 * QL_NUM_FEATURES;
-    float *const rows = job->scratch + worker * 2 * row;
-    job->source(job->user, 2 * task, worker, rows);
-    job->source(job->user, 2 * task + 1, worker, rows + row);
+    float *const rows = job->scratch + worker * (2 * row + QL_HEAD_BUFFER), *const buffer = rows + 2 * row;
+    for (uint32_t dy = 0; dy < 2; ++dy) {
+        job->source(job->user, 2 * task + dy, worker, rows + dy * row);
+        guide_row(job, rows + dy * row, 2 * task + dy, buffer);
+    }
     const ql_conv_row conv = {
         .rows = {rows, rows + row, NULL},
         .weights = job->stem->weights,
@@ -199,11 +272,12 @@ static void stem_task(void *user, uint32_t task, uint32_t worker)
 }
 
 static quell_status run_stem(const ql_net *net, const ql_kernels *kernels, ql_env *env, const float *flags,
-                             ql_feature_source_fn *source, void *user, ql_map *out, ql_error *err)
+                             ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
 {
+    ql_map *const out = &maps->level[0];
     const size_t workers = ql_pool_num_threads(env->pool), row = (size_t)out->width * 2 * QL_NUM_FEATURES;
     float *const bias = ql_alloc(env->memory, net->widths[0], sizeof *bias);
-    float *const scratch = ql_alloc(env->memory, workers * 2 * row, sizeof *scratch);
+    float *const scratch = ql_alloc(env->memory, workers, (2 * row + QL_HEAD_BUFFER) * sizeof *scratch);
     quell_status status = QUELL_ERR_OUT_OF_MEMORY;
     if (bias == NULL || scratch == NULL) {
         ql_fail(err, status, "out of memory: features of a region %u pixels wide", 2 * out->width);
@@ -212,7 +286,7 @@ static quell_status run_stem(const ql_net *net, const ql_kernels *kernels, ql_en
             bias[c] = net->stem.bias[c];
             for (uint32_t f = 0; f < QL_NUM_FLAGS; ++f) bias[c] += flags[f] * net->flags[f * net->widths[0] + c];
         }
-        stem_job job = {&net->stem, kernels, bias, source, user, out, scratch};
+        stem_job job = {&net->stem, &net->guides, kernels, bias, source, user, out, &maps->embedding[0], scratch};
         status = ql_env_run(env, out->height, stem_task, &job);
     }
     ql_free(env->memory, scratch);
@@ -236,13 +310,95 @@ static quell_status step(const ql_conv *conv, const ql_kernels *kernels, ql_env 
     return QUELL_OK;
 }
 
+/* ---- The embedding ------------------------------------------------------------------------------------------------ */
+
+typedef struct embed_job {
+    const ql_conv *conv;
+    const ql_kernels *kernels;
+    const ql_map *map;
+    const ql_planes *below; /* pooled level below, which this one starts from; NULL at full resolution */
+    const ql_planes *out, *pooled; /* pooled: NULL at the coarsest level */
+    float *scratch;                /* [workers][2 QL_HEAD_BUFFER] */
+} embed_job;
+
+/* Adds the head's share to row y of the embedding, at full resolution to the two rows of row y of the map. */
+static void add_head(const embed_job *job, uint32_t y, float *buffer)
+{
+    const ql_planes *const out = job->out;
+    const uint32_t group = job->below ? 1 : 2;
+    float *const planes = buffer + QL_HEAD_BUFFER;
+    for (uint32_t x = 0; x < job->map->width; x += QL_HEAD_SPAN) {
+        const uint32_t num = job->map->width - x < QL_HEAD_SPAN ? job->map->width - x : QL_HEAD_SPAN;
+        ql_conv_apply_row(job->conv, job->kernels, job->map, x, y, num, 0, buffer);
+        for (uint32_t dy = 0; dy < group; ++dy) {
+            job->kernels->planes_row(buffer + (size_t)dy * QL_NET_DIMS * group, job->conv->num_out, QL_NET_DIMS, group,
+                                     planes, (size_t)num * group, num);
+            for (uint32_t e = 0; e < QL_NET_DIMS; ++e) {
+                float *const to = ql_planes_row(out, e, y * group + dy) + (size_t)x * group;
+                const float *const from = planes + (size_t)e * num * group;
+                for (size_t i = 0; i < (size_t)num * group; ++i) to[i] += from[i];
+            }
+        }
+    }
+}
+
+/* Two rows of the embedding, and the row of their means: what upsampling and the next level start from. */
+static void embed_task(void *user, uint32_t task, uint32_t worker)
+{
+    const embed_job *const job = user;
+    const ql_planes *const out = job->out;
+    float *const buffer = job->scratch + (size_t)worker * 2 * QL_HEAD_BUFFER;
+    if (job->below == NULL) {
+        add_head(job, task, buffer);
+    } else {
+        for (uint32_t y = 2 * task; y < 2 * task + 2 && y < out->height; ++y) {
+            for (uint32_t e = 0; e < QL_NET_DIMS; ++e)
+                memcpy(ql_planes_row(out, e, y), ql_planes_row(job->below, e, y), out->width * sizeof(float));
+            add_head(job, y, buffer);
+        }
+    }
+    if (job->pooled == NULL) return;
+    for (uint32_t e = 0; e < QL_NET_DIMS; ++e) {
+        const float *const upper = ql_planes_row(out, e, 2 * task), *const lower = upper + out->stride;
+        float *const mean = ql_planes_row(job->pooled, e, task);
+        for (size_t x = 0; x < job->pooled->width; ++x)
+            mean[x] = 0.25f * (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1]);
+    }
+}
+
+static quell_status embed(const ql_net *net, const ql_kernels *kernels, ql_env *env, ql_net_maps *maps, ql_error *err)
+{
+    float *const scratch =
+        ql_alloc(env->memory, ql_pool_num_threads(env->pool), 2 * QL_HEAD_BUFFER * sizeof *scratch);
+    quell_status status = QUELL_OK;
+    if (scratch == NULL) status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of the embedding");
+    for (uint32_t l = 0; l <= QL_NET_LEVELS && status == QUELL_OK; ++l) {
+        const ql_map *const map = &maps->level[l > 0 ? l - 1 : 0];
+        const int last = l == QL_NET_LEVELS;
+        if (l > 0)
+            status = ql_planes_create(&maps->embedding[l], map->width, map->height, QL_NET_DIMS, QL_NET_MARGIN,
+                                      env->memory, err);
+        if (status == QUELL_OK && !last)
+            status = ql_planes_create(&maps->pooled[l], maps->embedding[l].width / 2, maps->embedding[l].height / 2,
+                                      QL_NET_DIMS, QL_NET_MARGIN, env->memory, err);
+        embed_job job = {&net->embedding[l],          kernels,
+                         map,                         l > 0 ? &maps->pooled[l - 1] : NULL,
+                         &maps->embedding[l],         last ? NULL : &maps->pooled[l],
+                         scratch};
+        if (status == QUELL_OK) status = ql_env_run(env, (maps->embedding[l].height + 1) / 2, embed_task, &job);
+    }
+    ql_free(env->memory, scratch);
+    return status;
+}
+
 quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
                         const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
 {
     memset(maps, 0, sizeof *maps);
     ql_map *const m = maps->level;
     QL_TRY(ql_map_create(&m[0], width / 2, height / 2, net->widths[0], env->memory, err));
-    QL_TRY(run_stem(net, kernels, env, flags, source, user, &m[0], err));
+    QL_TRY(ql_planes_create(&maps->embedding[0], width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
+    QL_TRY(run_stem(net, kernels, env, flags, source, user, maps, err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
             QL_TRY(step(&net->encoder[l][i], kernels, env, &m[l], m[l].width, m[l].height, 0, &m[l], 1, err));
@@ -258,21 +414,41 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
         for (uint32_t i = 0; i < net->up_convs[l]; ++i)
             QL_TRY(step(&net->decoder[l][i], kernels, env, &m[l], m[l].width, m[l].height, 0, &m[l], 1, err));
     }
-    return QUELL_OK;
+    return embed(net, kernels, env, maps, err);
 }
 
 void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory)
 {
-    for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_map_destroy(&maps->level[l], memory);
+    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
+        ql_planes_destroy(&maps->embedding[l], memory);
+        if (l == QL_NET_LEVELS) break;
+        ql_map_destroy(&maps->level[l], memory);
+        ql_planes_destroy(&maps->pooled[l], memory);
+    }
+}
+
+static uint64_t planes_bytes(uint32_t width, uint32_t height)
+{
+    uint64_t bytes = 0;
+    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
+        bytes += (l == 0 ? 1u : 2u) * (uint64_t)ql_planes_bytes(width >> l, height >> l, QL_NET_DIMS, QL_NET_MARGIN);
+    return bytes;
+}
+
+uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height)
+{
+    uint64_t bytes = planes_bytes(width, height);
+    for (uint32_t l = 0; l < QL_NET_LEVELS; ++l)
+        bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
+    return bytes;
 }
 
 uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height)
 {
-    /* Two maps of the finest level, one of each other, and the coarse map of an upsampling. */
-    uint64_t bytes = 2 * ql_map_bytes(width / 2, height / 2, net->widths[0]);
-    for (uint32_t l = 1; l < QL_NET_LEVELS; ++l)
-        bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
-    return bytes + ql_map_bytes(width / 4, height / 4, net->widths[0]);
+    /* Beside what stays: a second map of the finest level and the coarse map of an upsampling, before there are planes
+     * of any but the finest embedding. */
+    return ql_net_maps_bytes(net, width, height) + ql_map_bytes(width / 2, height / 2, net->widths[0]) +
+           ql_map_bytes(width / 4, height / 4, net->widths[0]);
 }
 
 /* ---- The heads ---------------------------------------------------------------------------------------------------- */
@@ -296,7 +472,7 @@ void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql
 {
     const ql_conv *const conv = &net->head[group][level - 1];
     const ql_map *const map = &maps->level[level - 1];
-    const uint32_t planes = level < QL_NET_LEVELS ? QL_COARSE_PLANES : QL_FILTER_TAPS;
+    const uint32_t planes = ql_coarse_planes(level);
     for (uint32_t x = 0; x < map->width; x += QL_HEAD_SPAN) {
         const uint32_t num = map->width - x < QL_HEAD_SPAN ? map->width - x : QL_HEAD_SPAN;
         ql_conv_apply_row(conv, kernels, map, x, y, num, 0, buffer);

@@ -1,29 +1,32 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The quell family's network: a U-Net at half resolution and the heads that turn its features into kernel logits.
+/* The quell family's network: a U-Net at half resolution and the heads that turn its features into what guides kernels.
  * training/models/quell.py is the same in PyTorch. */
 #ifndef QL_MODELS_QUELL_NET_H
 #define QL_MODELS_QUELL_NET_H
 
 #include "models/features.h"
 #include "nn/conv.h"
+#include "nn/planes.h"
 
 enum {
-    QL_NET_LEVELS = 4,     /* 1/2, 1/4, 1/8, 1/16 */
+    QL_NET_LEVELS = 4,     /* of the body: 1/2, 1/4, 1/8, 1/16; heads have one more, full resolution */
     QL_NET_ALIGNMENT = 16, /* widths and heights of a region are multiples */
     QL_NET_MAX_CONVS = 4,  /* 3x3 convolutions of a level, one way */
+    QL_NET_DIMS = 10,      /* of the embedding */
+    QL_NET_MARGIN = 2,     /* of its planes */
     QL_FILTER_TAPS = 25,
-    QL_UP_TAPS = 9,
-    QL_COARSE_PLANES = QL_FILTER_TAPS + QL_UP_TAPS + 2 /* kernel, upsampling, blend, partition */
+    QL_UP_TAPS = 9
 };
 
-/* Groups with a pyramid of their own, in the order of the file's heads. */
-enum { QL_NET_GROUPS = 5 };
+/* Groups with a pyramid of their own, in the order of the file's heads: beauty, then direct and indirect light of
+ * diffuse, glossy, transmission, volume. */
+enum { QL_NET_GROUPS = 9 };
 
 /* What of the full-resolution head is wanted. Planes are [plane][x] for each of the two fine rows of a half row. */
 enum {
     QL_HEAD_DOWN = 0,  /* 2 planes: partition, importance */
-    QL_HEAD_UP = 1,    /* 35 planes: 25 kernel, 9 upsampling, 1 blend */
-    QL_HEAD_COLOR = 2, /* 25 planes */
+    QL_HEAD_UP = 1,    /* sharpness (QL_NET_DIMS planes), centre, blend */
+    QL_HEAD_COLOR = 2, /* sharpness, centre */
     QL_HEAD_MIX = 3    /* 1 plane */
 };
 
@@ -35,7 +38,12 @@ typedef struct ql_net {
     ql_conv down[QL_NET_LEVELS - 1], up[QL_NET_LEVELS - 1];
     ql_conv encoder[QL_NET_LEVELS][QL_NET_MAX_CONVS], decoder[QL_NET_LEVELS - 1][QL_NET_MAX_CONVS];
     ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS], head_color, head_mix;
-    ql_conv head[QL_NET_GROUPS][QL_NET_LEVELS]; /* at 1/2, 1/4, 1/8 (36 planes) and 1/16 (25) */
+    ql_conv head[QL_NET_GROUPS][QL_NET_LEVELS]; /* sharpness, centre, blend, partition; at 1/16 the first two */
+    ql_conv guides;                             /* features to embedding, 1x1 at full resolution */
+    ql_conv embedding[QL_NET_LEVELS + 1];       /* the body's share of it */
+    float *filter_table[QL_NET_LEVELS + 1];     /* [QL_NET_GROUPS][QL_FILTER_TAPS] */
+    float *up_table[QL_NET_LEVELS];             /* [QL_NET_GROUPS][2][2][QL_UP_TAPS] */
+    float *color_table;                         /* [QL_FILTER_TAPS] */
     uint64_t num_parameters;
 } ql_net;
 
@@ -49,25 +57,29 @@ uint32_t ql_net_reach(const ql_net *net);
 /* Fills out[num_pixels][QL_NUM_FEATURES] for row y of the region, pixels from x = 0; zeros outside the image. */
 typedef void ql_feature_source_fn(void *user, uint32_t y, uint32_t worker, float *out);
 
-/* Features of each level, for the heads. */
+/* Features of each level, for the heads, and the embedding that all kernels share. */
 typedef struct ql_net_maps {
     ql_map level[QL_NET_LEVELS];
+    ql_planes embedding[QL_NET_LEVELS + 1]; /* full resolution first */
+    ql_planes pooled[QL_NET_LEVELS];        /* means over 2x2 of embedding[l], at the size of level l + 1 */
 } ql_net_maps;
 
 /* Runs the body on a region. flags: QL_NUM_FLAGS constants. maps is freed by ql_net_maps_destroy in any case. */
 quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
                         const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err);
 void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory);
+uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height);
 uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height);
 
 /* Full-resolution logits of fine rows 2y and 2y + 1, fine pixels 2x .. 2x + 2 num - 1, num at most QL_HEAD_SPAN.
  * out: [2 rows][planes][2 num]. buffer: QL_HEAD_BUFFER floats. */
-enum { QL_HEAD_SPAN = 64, QL_HEAD_BUFFER = QL_HEAD_SPAN * 160, QL_HEAD_OUT = 2 * 35 * 2 * QL_HEAD_SPAN };
+enum { QL_HEAD_SPAN = 64, QL_HEAD_BUFFER = QL_HEAD_SPAN * 64 };
 void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
                         uint32_t head, uint32_t x, uint32_t y, uint32_t num, float *buffer, float *out);
 uint32_t ql_head_planes(uint32_t head);
+uint32_t ql_coarse_planes(uint32_t level);
 
-/* One row of level 1 to 4 (1/2 .. 1/16): out [planes][width]; planes: 36, or 25 at level 4. */
+/* One row of level 1 to 4 (1/2 .. 1/16): out [ql_coarse_planes][width]. */
 void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
                           uint32_t level, uint32_t y, float *buffer, float *out);
 

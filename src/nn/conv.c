@@ -74,8 +74,10 @@ quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *
     QL_TRY_GOTO(ql_weights_get_floats(weights, key, file, num_file, err));
     ql_conv_pack(conv, file, num_out, order, num);
     snprintf(key, sizeof key, "%s.bias", name);
-    QL_TRY_GOTO(ql_weights_get_floats(weights, key, file, num_out, err));
-    for (uint32_t c = 0; c < num; ++c) conv->bias[c] = file[order ? order[c] : c];
+    if (ql_weights_find(weights, key) != NULL) {
+        QL_TRY_GOTO(ql_weights_get_floats(weights, key, file, num_out, err));
+        for (uint32_t c = 0; c < num; ++c) conv->bias[c] = file[order ? order[c] : c];
+    }
     ql_free(memory, file);
     return QUELL_OK;
 fail:

@@ -25,7 +25,7 @@ typedef struct ql_conv {
     float *weights, *bias;    /* packed for ql_conv_row */
 } ql_conv;
 
-/* Reads 'NAME.weight' [size][size][num_in][num_out] and 'NAME.bias' [num_out]. order, if not NULL, picks num_order of
+/* Reads 'NAME.weight' [size][size][num_in][num_out] and 'NAME.bias' [num_out], which is 0 where the file has none. order, if not NULL, picks num_order of
  * the file's output channels, in that order. */
 quell_status ql_conv_load(ql_conv *conv, const ql_weights *weights, const char *name, uint32_t size, uint32_t num_in,
                           uint32_t num_out, const uint32_t *order, uint32_t num_order, ql_memory *memory,

@@ -154,29 +154,53 @@ static void largest(const float *p, ptrdiff_t stride, uint32_t width, uint32_t h
     for (size_t i = 0; i < num; ++i) scale[i] = top;
 }
 
+enum { DIMS = 5 };
+
+/* Embeddings of a row and of what its taps see, with a margin; sharpness over many stops now and then. */
+static ql_affinity random_affinity(uint32_t width, uint32_t other_width, uint32_t margin)
+{
+    const size_t stride = other_width + 2 * (size_t)margin, other_plane = stride * (1 + 2 * (size_t)margin);
+    float *const own = guarded((size_t)DIMS * width), *const sharpness = guarded((size_t)DIMS * width);
+    float *const other = guarded(DIMS * other_plane);
+    fill(own, (size_t)DIMS * width, 0);
+    fill(other, DIMS * other_plane, 0);
+    const float stops = random_below(4) ? 2.0f : 11.0f;
+    for (size_t i = 0; i < (size_t)DIMS * width; ++i) sharpness[i] = exp2f(random_float(-stops, stops));
+    return (ql_affinity){own,       width, other + margin * stride + margin, other_plane, (ptrdiff_t)stride,
+                         sharpness, width, DIMS};
+}
+
+/* Bound for logits as large as these: their own rounding, times what exp makes of it. */
+static double logit_bound(const ql_affinity *a, uint32_t width)
+{
+    float top = 0.0f;
+    for (size_t i = 0; i < (size_t)DIMS * width; ++i) top = fmaxf(top, a->sharpness[i]);
+    return 2e-6 + 4e-7 * DIMS * 4.0 * (double)top;
+}
+
 static void test_filter(const ql_kernels *c, const ql_kernels *k)
 {
     enum { CHANNELS = 3 };
     const uint32_t width = 1 + random_below(50);
     const int kind = (int)random_below(3);
-    float *const logits = guarded((size_t)25 * width), *const scale = guarded(width);
+    float *const centre = guarded(width), *const table = guarded(25), *const scale = guarded(width);
     const float *in[CHANNELS];
     float *a[CHANNELS], *b[CHANNELS];
-    fill(logits, (size_t)25 * width, 0);
-    const float spread = random_below(4) ? 8.0f : 2000.0f;
-    for (size_t i = 0; i < (size_t)25 * width; ++i) logits[i] *= spread;
+    fill(centre, width, 0);
+    fill(table, 25, 0);
     for (int i = 0; i < CHANNELS; ++i) {
         in[i] = plane(width, 1, 2, kind);
         a[i] = guarded(width);
         b[i] = guarded(width);
     }
-    ql_filter_row filter = {logits, width, in, (ptrdiff_t)width + 4, a, CHANNELS, width};
+    ql_filter_row filter = {
+        random_affinity(width, width, 2), centre, table, in, (ptrdiff_t)width + 4, a, CHANNELS, width};
     k->filter_row(&filter);
     filter.out = b;
     c->filter_row(&filter);
     for (int i = 0; i < CHANNELS; ++i) {
         largest(in[i], (ptrdiff_t)width + 4, width, 1, 2, scale, width);
-        expect("filter_row", k->name, a[i], b[i], scale, width, spread > 100.0f ? 4e-4 : 2e-6);
+        expect("filter_row", k->name, a[i], b[i], scale, width, logit_bound(&filter.affinity, width));
     }
 }
 
@@ -185,10 +209,10 @@ static void test_upsample(const ql_kernels *c, const ql_kernels *k)
     enum { CHANNELS = 2 };
     const uint32_t width = 2 * (1 + random_below(30));
     const int kind = (int)random_below(3);
-    float *const logits = guarded((size_t)9 * width), *const blend = guarded(width), *const scale = guarded(width);
+    float *const table = guarded(18), *const blend = guarded(width), *const scale = guarded(width);
     const float *in[CHANNELS];
     float *a[CHANNELS], *b[CHANNELS];
-    fill(logits, (size_t)9 * width, 0);
+    fill(table, 18, 0);
     fill(blend, width, 0);
     for (size_t i = 0; i < width; ++i) blend[i] *= 10.0f;
     for (int i = 0; i < CHANNELS; ++i) {
@@ -200,14 +224,15 @@ static void test_upsample(const ql_kernels *c, const ql_kernels *k)
     }
     float *const before = guarded(width);
     memcpy(before, a[0], width * sizeof(float));
-    ql_upsample_row up = {logits, width, blend, in, (ptrdiff_t)width / 2 + 2, a, CHANNELS, width};
+    ql_upsample_row up = {random_affinity(width, width / 2, 1), blend, {table, table + 9}, in,
+                          (ptrdiff_t)width / 2 + 2,             a,     CHANNELS,           width};
     k->upsample_row(&up);
     up.out = b;
     c->upsample_row(&up);
     for (int i = 0; i < CHANNELS; ++i) {
         largest(in[i], (ptrdiff_t)width / 2 + 2, width / 2, 1, 1, scale, width);
         for (size_t x = 0; x < width; ++x) scale[x] += fabsf(b[i][x]) + fabsf(before[x]);
-        expect("upsample_row", k->name, a[i], b[i], scale, width, 2e-6);
+        expect("upsample_row", k->name, a[i], b[i], scale, width, logit_bound(&up.affinity, width));
     }
 }
 
@@ -243,6 +268,12 @@ static void test_rows(const ql_kernels *c, const ql_kernels *k)
     expect("sigmoid_row", k->name, a, b, one, width, 4e-7);
     for (uint32_t x = 0; x < width; ++x) one[x] = 1.0f / (1.0f + expf(-fmaxf(-12.0f, fminf(12.0f, in[x]))));
     expect("sigmoid_row against libm", k->name, a, one, one, width, 4e-6);
+
+    k->exp_row(in, a, width);
+    c->exp_row(in, b, width);
+    for (uint32_t x = 0; x < width; ++x) one[x] = expf(fmaxf(-8.0f, fminf(8.0f, in[x])));
+    expect("exp_row", k->name, a, b, one, width, 4e-7);
+    expect("exp_row against libm", k->name, a, one, one, width, 4e-7);
 
     fill(in, width, (int)random_below(3));
     const float scale = exp2f((float)random_below(20) - 10.0f);
