@@ -13,15 +13,19 @@ from training.models.quell import Denoised
 MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
 NOISE_FLOOR = 0.004  # error of an input that needs nothing done to it; targets are no cleaner
 EPSILON = 0.01  # of relMSE (docs: error with two references)
+TURN = 2.0  # relative error from which on the loss is linear
 
 
 def relative_error(image: Tensor, target: Tensor) -> Tensor:
-    """Pseudo-Huber of the relative error: squared while small, so that noise in the target cancels; linear beyond 1, so
-    that one firefly does not decide a step. The denominator takes the estimate in, because the target's own noise in it
-    would pull the result down. One value per crop."""
-    denominator = 0.25 * (image.detach() + target).square() + EPSILON
-    squared = (image - target).square() / denominator
-    return (torch.sqrt(1 + squared) - 1).flatten(1).mean(1)
+    """Pseudo-Huber of the relative error: squared up to TURN, so that noise in the target cancels; linear beyond, so that
+    one firefly does not decide a step. The target's own noise in the denominator would pull the result down, so the
+    estimate stands there, held within a factor of two of the target's surroundings: an estimate that is far too bright
+    must not excuse itself. One value per crop."""
+    around = F.avg_pool2d(target.clamp_min(0), 3, stride=1, padding=1, count_include_pad=False)
+    level = torch.minimum(torch.maximum(image.detach(), 0.5 * around), 2 * around)
+    squared = (image - target).square() / (level.square() + EPSILON)
+    turn = TURN * TURN
+    return (turn * (torch.sqrt(1 + squared / turn) - 1)).flatten(1).mean(1)
 
 
 def multiscale(image: Tensor, target: Tensor) -> Tensor:
