@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The quell family: one small U-Net at half resolution guides a kernel pyramid for each pass.
 
+guides [13]   -> 1x1, and with three more 3x3 to 16, ReLU, 3x3: an embedding at full resolution, which follows edges
 features [32] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
-              -> heads (1x1), one per level: an embedding that all passes share, and for each pass how sharply each of
+              -> heads (1x1), one per level: its share of the embedding, and for each pass how sharply each of
                  its dimensions is looked at, a bonus for the centre, a blend, a partition, at full resolution an importance
 """
 
@@ -14,14 +15,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from training.features import GUIDE_PLANES, NUM_FEATURES, NUM_FLAGS, Features, Layers
+from training.features import DETAIL_PLANES, GUIDE_PLANES, NUM_FEATURES, NUM_FLAGS, Features, Layers
 from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_level, filter_pyramid
 
 LIGHTS = ("diffuse", "glossy", "transmission", "volume")
 PARTS = ("direct", "indirect")
 GROUPS = ("beauty", *(f"{light}_{part}" for light in LIGHTS for part in PARTS))
 LEVELS = 5
-EMBEDDING = 10  # dimensions
+EMBEDDING = 10  # dimensions; all passes share them
+DETAIL = 16  # channels at full resolution, in and between
 GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "partition": 1, "importance": 1}
 FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
 COLOR_FIELDS = EMBEDDING + 1  # colours and emission: one narrow kernel, at full resolution alone
@@ -106,6 +108,8 @@ class QuellNet(nn.Module):
         self.filter_table = nn.ParameterList(torch.zeros(len(GROUPS), 1, FILTER_TAPS) for _ in range(LEVELS))
         self.up_table = nn.ParameterList(torch.zeros(len(GROUPS), 4, UP_TAPS) for _ in range(LEVELS - 1))
         self.color_table = nn.Parameter(torch.zeros(1, 1, FILTER_TAPS))
+        self.detail_in = nn.Conv2d(DETAIL, DETAIL, 3, padding=1)
+        self.detail_out = nn.Conv2d(DETAIL, EMBEDDING, 3, padding=1)
         self.initialise()
 
     def initialise(self) -> None:
@@ -127,6 +131,7 @@ class QuellNet(nn.Module):
                     own[3:6] = -2.0  # light without its colour need not heed albedo
                 if level == 0:
                     own[group_planes(0) - 1] = 2.0  # importance: sigmoid(2) = 0.88
+        nn.init.zeros_(self.detail_out.weight)
         nn.init.zeros_(self.guides.weight)
         for dimension, plane, gain in [(0, 3, 3.0), (1, 4, 3.0), (2, 5, 3.0), (3, 0, 4.0), (4, 1, 4.0), (5, 2, 4.0),
                                        (6, 6, 6.0), (7, 7, 4.0)]:  # fmt: skip
@@ -162,8 +167,10 @@ class QuellNet(nn.Module):
         return [split_head(x.float(), level) for level, x in enumerate(planes)]
 
     def embeddings(self, features: Tensor, heads: list[Head]) -> list[Tensor]:
-        """By level [n,e,h,w]: the guides' share at full resolution, passed down by means of 2x2, plus the heads'."""
-        passed = self.guides(features[:, GUIDE_PLANES]).float()
+        """By level [n,e,h,w]: the share at full resolution, passed down by means of 2x2, plus the heads'."""
+        guides = features[:, GUIDE_PLANES]
+        detail = torch.cat([guides, features[:, DETAIL_PLANES], features[:, :3].mean(1, keepdim=True)], 1)
+        passed = self.guides(guides).float() + self.detail_out(F.relu(self.detail_in(detail))).float()
         out = []
         for head in heads:
             out.append(passed + head.embedding)
@@ -265,7 +272,7 @@ class Quell(nn.Module):
 def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
     """Multiply-adds of the convolutions per image pixel, when `groups` groups of layers are filtered."""
     w, per = config.widths, (1 / 4, 1 / 16, 1 / 64, 1 / 256)
-    total = NUM_FEATURES * w[0] * 4 * per[0]
+    total = NUM_FEATURES * w[0] * 4 * per[0] + 9 * DETAIL * (DETAIL + EMBEDDING)
     for i in range(4):
         total += config.down_convs[i] * 9 * w[i] ** 2 * per[i]
         total += EMBEDDING * w[i] * per[i]
