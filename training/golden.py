@@ -55,6 +55,7 @@ def main() -> None:
     model = Quell(config)
     for head in model.net.heads:
         torch.nn.init.normal_(head.weight, std=0.1)
+    torch.nn.init.normal_(model.net.detail_out.weight, std=0.1)
     for table in (*model.net.filter_table, *model.net.up_table, model.net.color_table):
         torch.nn.init.normal_(table)
     model = round_to_half(model)

@@ -7,6 +7,7 @@
 #include "denoise/recombine.h"
 #include "filter/narrow.h"
 #include "filter/pyramid.h"
+#include "models/quell_stem.h"
 
 #include <math.h>
 #include <string.h>
@@ -501,7 +502,7 @@ uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t i
                               uint32_t height, uint32_t num_workers)
 {
     const uint64_t features =
-        num_workers * sizeof(float) * (feature_scratch_floats(image_width) + 4ull * width * QL_NUM_FEATURES);
+        num_workers * sizeof(float) * feature_scratch_floats(image_width) + ql_net_stem_bytes(width, num_workers);
     const uint64_t network = ql_net_peak_bytes(net, width, height) + features;
     /* Maps stay while the filters run; the widest batch has QL_PYRAMID_MAX_PLANES planes, most have seven. */
     uint32_t planes = plan->num_denoised * 3 + 2;

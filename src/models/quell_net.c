@@ -2,6 +2,8 @@
 /* The U-Net and its heads. Knows maps and planes, no layers of a frame. */
 #include "models/quell_net.h"
 
+#include "models/quell_stem.h"
+
 #include <stdio.h>
 #include <string.h>
 
@@ -66,6 +68,8 @@ static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory
     QL_TRY(load_head(net, weights, 0, color + QL_NET_DIMS + 1, 1, &net->head_mix, memory, err));
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
         QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
+    QL_TRY(ql_conv_load(&net->detail_in, weights, "detail_in", 3, QL_NET_DETAIL, QL_NET_DETAIL, NULL, 0, memory, err));
+    QL_TRY(ql_conv_load(&net->detail_out, weights, "detail_out", 3, QL_NET_DETAIL, QL_NET_DIMS, NULL, 0, memory, err));
     return ql_conv_load(&net->guides, weights, "guides", 1, QL_NUM_GUIDES, QL_NET_DIMS, NULL, 0, memory, err);
 }
 
@@ -174,6 +178,8 @@ void ql_net_free(ql_net *net, ql_memory *memory)
     ql_conv_free(&net->head_color, memory);
     ql_conv_free(&net->head_mix, memory);
     ql_conv_free(&net->guides, memory);
+    ql_conv_free(&net->detail_in, memory);
+    ql_conv_free(&net->detail_out, memory);
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
         ql_conv_free(&net->embedding[l], memory);
         ql_free(memory, net->filter_table[l]);
@@ -187,7 +193,7 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has
 {
     static const double per[QL_NET_LEVELS] = {1.0 / 4, 1.0 / 16, 1.0 / 64, 1.0 / 256};
     double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = (double)FINE_FIELDS * net->widths[0];
-    total += QL_NET_DIMS * (double)(net->widths[0] + QL_NUM_GUIDES);
+    total += QL_NET_DIMS * (double)(net->widths[0] + QL_NUM_GUIDES) + 9.0 * QL_NET_DETAIL * (QL_NET_DETAIL + QL_NET_DIMS);
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const double w = net->widths[l];
         total += (9.0 * w * w * net->down_convs[l] + QL_NET_DIMS * w) * per[l];
@@ -203,7 +209,7 @@ uint32_t ql_net_reach(const ql_net *net)
 {
     /* A 3x3 convolution at 1/2^(l+1) reaches one of its pixels further; a stride or an upsampling adds less than one
      * pixel of the coarser level, once on the way down and once on the way up. */
-    uint32_t reach = 0;
+    uint32_t reach = 2; /* of the two convolutions at full resolution */
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const uint32_t convs = net->down_convs[l] + (l + 1 < QL_NET_LEVELS ? net->up_convs[l] : 0);
         reach += (convs + 1) << (l + 1);
@@ -212,87 +218,6 @@ uint32_t ql_net_reach(const ql_net *net)
 }
 
 /* ---- The body ----------------------------------------------------------------------------------------------------- */
-
-typedef struct stem_job {
-    const ql_conv *stem, *guides;
-    const ql_kernels *kernels;
-    const float *bias;
-    ql_feature_source_fn *source;
-    void *user;
-    ql_map *out;
-    const ql_planes *embedding; /* takes the guides' share */
-    float *scratch;             /* [workers][2 rows][width][features], [workers][QL_HEAD_BUFFER] */
-} stem_job;
-
-/* Rows of interleaved features to planes of the embedding's first share. */
-static void guide_row(const stem_job *job, const float *features, uint32_t y, float *buffer)
-{
-    const uint32_t width = job->embedding->width, span = QL_HEAD_BUFFER / job->guides->num_out;
-    for (uint32_t x = 0; x < width; x += span) {
-        const uint32_t num = width - x < span ? width - x : span;
-        const ql_conv_row conv = {
-            .rows = {features + (size_t)x * QL_NUM_FEATURES + QL_FIRST_GUIDE, NULL, NULL},
-            .weights = job->guides->weights,
-            .bias = job->guides->bias,
-            .out = buffer,
-            .num_rows = 1,
-            .num_k = QL_NUM_GUIDES,
-            .stride = QL_NUM_FEATURES,
-            .num_pixels = num,
-            .num_out = job->guides->num_out,
-        };
-        job->kernels->conv_row(&conv);
-        job->kernels->planes_row(buffer, conv.num_out, QL_NET_DIMS, 1, ql_planes_row(job->embedding, 0, y) + x,
-                                 job->embedding->plane, num);
-    }
-}
-
-static void stem_task(void *user, uint32_t task, uint32_t worker)
-{
-    const stem_job *const job = user;
-    const size_t row = (size_t)job->out->width * 2 * QL_NUM_FEATURES;
-    float *const rows = job->scratch + worker * (2 * row + QL_HEAD_BUFFER), *const buffer = rows + 2 * row;
-    for (uint32_t dy = 0; dy < 2; ++dy) {
-        job->source(job->user, 2 * task + dy, worker, rows + dy * row);
-        guide_row(job, rows + dy * row, 2 * task + dy, buffer);
-    }
-    const ql_conv_row conv = {
-        .rows = {rows, rows + row, NULL},
-        .weights = job->stem->weights,
-        .bias = job->bias,
-        .out = ql_map_row(job->out, task),
-        .num_rows = 2,
-        .num_k = 2 * QL_NUM_FEATURES,
-        .stride = 2 * QL_NUM_FEATURES,
-        .num_pixels = job->out->width,
-        .num_out = job->stem->num_out,
-        .relu = 1,
-    };
-    job->kernels->conv_row(&conv);
-}
-
-static quell_status run_stem(const ql_net *net, const ql_kernels *kernels, ql_env *env, const float *flags,
-                             ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
-{
-    ql_map *const out = &maps->level[0];
-    const size_t workers = ql_pool_num_threads(env->pool), row = (size_t)out->width * 2 * QL_NUM_FEATURES;
-    float *const bias = ql_alloc(env->memory, net->widths[0], sizeof *bias);
-    float *const scratch = ql_alloc(env->memory, workers, (2 * row + QL_HEAD_BUFFER) * sizeof *scratch);
-    quell_status status = QUELL_ERR_OUT_OF_MEMORY;
-    if (bias == NULL || scratch == NULL) {
-        ql_fail(err, status, "out of memory: features of a region %u pixels wide", 2 * out->width);
-    } else {
-        for (uint32_t c = 0; c < net->widths[0]; ++c) {
-            bias[c] = net->stem.bias[c];
-            for (uint32_t f = 0; f < QL_NUM_FLAGS; ++f) bias[c] += flags[f] * net->flags[f * net->widths[0] + c];
-        }
-        stem_job job = {&net->stem, &net->guides, kernels, bias, source, user, out, &maps->embedding[0], scratch};
-        status = ql_env_run(env, out->height, stem_task, &job);
-    }
-    ql_free(env->memory, scratch);
-    ql_free(env->memory, bias);
-    return status;
-}
 
 /* Replaces *map by conv(*map), of the given size. */
 static quell_status step(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, ql_map *map, uint32_t width,
@@ -398,7 +323,7 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
     ql_map *const m = maps->level;
     QL_TRY(ql_map_create(&m[0], width / 2, height / 2, net->widths[0], env->memory, err));
     QL_TRY(ql_planes_create(&maps->embedding[0], width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
-    QL_TRY(run_stem(net, kernels, env, flags, source, user, maps, err));
+    QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, maps, err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
             QL_TRY(step(&net->encoder[l][i], kernels, env, &m[l], m[l].width, m[l].height, 0, &m[l], 1, err));
