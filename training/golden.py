@@ -56,7 +56,7 @@ def main() -> None:
     for head in model.net.heads:
         torch.nn.init.normal_(head.weight, std=0.1)
     torch.nn.init.normal_(model.net.detail_out.weight, std=0.1)
-    for table in (*model.net.filter_table, *model.net.up_table, model.net.color_table):
+    for table in (*model.net.filter_table, *model.net.up_table, model.net.narrow_table):
         torch.nn.init.normal_(table)
     model = round_to_half(model)
     layers, guides = random_frame(torch.Generator().manual_seed(3))

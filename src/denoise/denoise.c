@@ -5,6 +5,7 @@
 #include "base/clock.h"
 #include "denoise/dgan.h"
 #include "denoise/region.h"
+#include "frame/roles.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -443,10 +444,10 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         layer->num_bad_pixels = scan->num_bad;
         layer->num_limited_pixels = scan->num_limited;
         if (!dry) layer->mean_after = w->means[i];
-        if (plan->group == QL_GROUP_COLOR)
+        if (plan->group == QL_GROUP_COLOR || plan->group == QL_GROUP_EMISSION)
             has_light = 1;
         else
-            groups |= 1u << plan->group;
+            groups |= 1u << (2 * plan->group + ql_role_is_indirect(w->frame->layers[i].role));
     }
     if (failed) {
         ql_report_destroy(report);

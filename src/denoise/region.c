@@ -7,6 +7,7 @@
 #include "denoise/recombine.h"
 #include "filter/narrow.h"
 #include "filter/pyramid.h"
+#include "frame/roles.h"
 #include "models/quell_stem.h"
 
 #include <math.h>
@@ -219,6 +220,17 @@ static int is_light(int32_t group)
     return group >= QL_GROUP_DIFFUSE && group <= QL_GROUP_VOLUME;
 }
 
+static int is_narrow(int32_t group)
+{
+    return group == QL_GROUP_COLOR || group == QL_GROUP_EMISSION;
+}
+
+/* Index of the network's narrow group: colours, emission. */
+static uint32_t narrow_index(const batch *b)
+{
+    return b->group == QL_GROUP_COLOR ? 0 : 1;
+}
+
 /* Index of the network's group: beauty, then direct and indirect light. */
 static uint32_t net_group(const batch *b)
 {
@@ -244,7 +256,7 @@ static void set_levels(batch *b)
         if (l + 1 < QL_PYRAMID_LEVELS)
             b->levels[l].up_table = b->job->net->up_table[l] + (size_t)group * 4 * QL_UP_TAPS;
     }
-    if (b->group == QL_GROUP_COLOR) b->levels[0].table = b->job->net->color_table;
+    if (is_narrow(b->group)) b->levels[0].table = b->job->net->narrow_table + (size_t)narrow_index(b) * QL_FILTER_TAPS;
 }
 
 static float *worker_scratch(const batch *b, uint32_t worker)
@@ -255,8 +267,10 @@ static float *worker_scratch(const batch *b, uint32_t worker)
 static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_t num, uint32_t worker, float *out)
 {
     const batch *const b = user;
-    const uint32_t head = b->group == QL_GROUP_COLOR ? QL_HEAD_COLOR : part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, net_group(b), head, x, y, num,
+    const uint32_t wide = part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
+    const uint32_t head = is_narrow(b->group) ? QL_HEAD_NARROW : wide;
+    const uint32_t group = is_narrow(b->group) ? narrow_index(b) : net_group(b);
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, group, head, x, y, num,
                        worker_scratch(b, worker), out);
 }
 
@@ -384,12 +398,6 @@ static uint32_t num_filtered_channels(const ql_layer *layer, const ql_scan *scan
     return colors + (has_alpha ? 1 : 0);
 }
 
-static int is_indirect_role(int32_t role)
-{
-    return role == QUELL_ROLE_DIFFUSE_INDIRECT || role == QUELL_ROLE_GLOSSY_INDIRECT ||
-           role == QUELL_ROLE_TRANSMISSION_INDIRECT || role == QUELL_ROLE_VOLUME_INDIRECT;
-}
-
 /* Fills the batch with layers of its group from *next on, as many as fit. */
 static void fill_batch(batch *b, uint32_t *next, int combined_only)
 {
@@ -401,7 +409,7 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
     for (; *next < plan->num_layers && b->num_members < MAX_BATCH; ++*next) {
         const ql_plan_layer *const layer = &plan->layers[*next];
         if (layer->action != QUELL_ACTION_DENOISED || layer->set != b->set_index || layer->group != b->group) continue;
-        if (is_light(b->group) && is_indirect_role(b->job->frame->layers[*next].role) != b->is_indirect) continue;
+        if (is_light(b->group) && ql_role_is_indirect(b->job->frame->layers[*next].role) != b->is_indirect) continue;
         if (combined_only != ((int32_t)*next == combined)) continue;
         member m = {.layer = (int32_t)*next};
         m.source = &b->job->frame->layers[layer->source];
@@ -435,7 +443,7 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
         fill_batch(b, &next, combined_only);
         if (b->num_members == 0) continue;
         const uint32_t width = b->region->width, height = b->region->height;
-        if (b->group == QL_GROUP_COLOR)
+        if (is_narrow(b->group))
             QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
         else
             QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
@@ -454,8 +462,9 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
 static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, const ql_region *region,
                                 const ql_net_maps *maps, ql_error *err)
 {
-    static const int32_t order[QL_NUM_GROUPS] = {QL_GROUP_COLOR,        QL_GROUP_DIFFUSE, QL_GROUP_GLOSSY,
-                                                 QL_GROUP_TRANSMISSION, QL_GROUP_VOLUME,  QL_GROUP_BEAUTY};
+    static const int32_t order[QL_NUM_GROUPS] = {QL_GROUP_COLOR,  QL_GROUP_EMISSION,     QL_GROUP_DIFFUSE,
+                                                 QL_GROUP_GLOSSY, QL_GROUP_TRANSMISSION, QL_GROUP_VOLUME,
+                                                 QL_GROUP_BEAUTY};
     batch b = {.job = job, .region = region, .maps = maps, .set = &job->plan->sets[set_index]};
     b.set_index = (int32_t)set_index;
     b.scratch_floats = batch_scratch_floats(job->frame->width);

@@ -132,6 +132,12 @@ int32_t ql_role_group(int32_t role)
     return facts_of(role)->group;
 }
 
+int32_t ql_role_is_indirect(int32_t role)
+{
+    return role == QUELL_ROLE_DIFFUSE_INDIRECT || role == QUELL_ROLE_GLOSSY_INDIRECT ||
+           role == QUELL_ROLE_TRANSMISSION_INDIRECT || role == QUELL_ROLE_VOLUME_INDIRECT;
+}
+
 int32_t ql_role_color(int32_t role)
 {
     return facts_of(role)->color;

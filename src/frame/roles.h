@@ -17,12 +17,14 @@ enum {
     QL_GROUP_TRANSMISSION = 3,
     QL_GROUP_VOLUME = 4,
     QL_GROUP_COLOR = 5, /* diffuse, glossy and transmission colour: narrow kernels */
-    QL_NUM_GROUPS = 6
+    QL_GROUP_EMISSION = 6, /* emission and environment beside all light passes: narrow kernels of their own */
+    QL_NUM_GROUPS = 7
 };
 
 int32_t ql_role_from_pass(const char *pass); /* "DiffDir", "Diffuse Direct", "Combined_key", ...: QUELL_ROLE_* */
 const char *ql_role_name(int32_t role);
 int32_t ql_role_group(int32_t role);
+int32_t ql_role_is_indirect(int32_t role); /* 1: the indirect half of a group of light */
 int32_t ql_role_color(int32_t role); /* role of the colour pass a light pass is divided by; QUELL_ROLE_OTHER: none */
 
 /* Splits "LAYER.PASS.VIEW.C" or "LAYER.PASS.C" from the right. multi_view: NULL-terminated list of view names, or NULL.

@@ -15,10 +15,10 @@ static uint32_t group_planes(uint32_t level)
     return level == 0 ? FINE_FIELDS : ql_coarse_planes(level);
 }
 
-/* Where the embedding of a level's head begins, after the groups and, at full resolution, colours and mix. */
+/* Where the embedding of a level's head begins, after the groups and, at full resolution, narrow groups and mix. */
 static uint32_t embedding_plane(uint32_t level)
 {
-    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? ql_head_planes(QL_HEAD_COLOR) + 1 : 0);
+    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? QL_NET_NARROW_GROUPS * ql_head_planes(QL_HEAD_NARROW) + 1 : 0);
 }
 
 /* Which of the file's channels are `num` planes from `first` on. At full resolution the file holds pixel-shuffled
@@ -57,15 +57,17 @@ static quell_status load_head(const ql_net *net, const ql_weights *weights, uint
 
 static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
 {
-    const uint32_t down = QL_NET_DIMS + 2, color = QL_NET_GROUPS * FINE_FIELDS;
+    const uint32_t down = QL_NET_DIMS + 2, narrow = ql_head_planes(QL_HEAD_NARROW);
+    uint32_t first = QL_NET_GROUPS * FINE_FIELDS;
     for (uint32_t g = 0; g < QL_NET_GROUPS; ++g) {
         QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS, down, &net->head_up[g], memory, err));
         QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS + down, 2, &net->head_down[g], memory, err));
         for (uint32_t l = 1; l <= QL_NET_LEVELS; ++l)
             QL_TRY(load_head(net, weights, l, g * group_planes(l), group_planes(l), &net->head[g][l - 1], memory, err));
     }
-    QL_TRY(load_head(net, weights, 0, color, QL_NET_DIMS + 1, &net->head_color, memory, err));
-    QL_TRY(load_head(net, weights, 0, color + QL_NET_DIMS + 1, 1, &net->head_mix, memory, err));
+    for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g, first += narrow)
+        QL_TRY(load_head(net, weights, 0, first, narrow, &net->head_narrow[g], memory, err));
+    QL_TRY(load_head(net, weights, 0, first, 1, &net->head_mix, memory, err));
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
         QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
     QL_TRY(ql_conv_load(&net->detail_in, weights, "detail_in", 3, QL_NET_DETAIL, QL_NET_DETAIL, NULL, 0, memory, err));
@@ -91,7 +93,8 @@ static quell_status load_tables(ql_net *net, const ql_weights *weights, ql_memor
         snprintf(name, sizeof name, "up_table.%u", l);
         QL_TRY(load_table(weights, name, (size_t)QL_NET_GROUPS * 4 * QL_UP_TAPS, &net->up_table[l], memory, err));
     }
-    return load_table(weights, "color_table", QL_FILTER_TAPS, &net->color_table, memory, err);
+    return load_table(weights, "narrow_table", (size_t)QL_NET_NARROW_GROUPS * QL_FILTER_TAPS, &net->narrow_table, memory,
+                      err);
 }
 
 static quell_status load_body(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
@@ -175,7 +178,7 @@ void ql_net_free(ql_net *net, ql_memory *memory)
         ql_conv_free(&net->head_up[g], memory);
         for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_conv_free(&net->head[g][l], memory);
     }
-    ql_conv_free(&net->head_color, memory);
+    for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g) ql_conv_free(&net->head_narrow[g], memory);
     ql_conv_free(&net->head_mix, memory);
     ql_conv_free(&net->guides, memory);
     ql_conv_free(&net->detail_in, memory);
@@ -185,7 +188,7 @@ void ql_net_free(ql_net *net, ql_memory *memory)
         ql_free(memory, net->filter_table[l]);
         if (l < QL_NET_LEVELS) ql_free(memory, net->up_table[l]);
     }
-    ql_free(memory, net->color_table);
+    ql_free(memory, net->narrow_table);
     memset(net, 0, sizeof *net);
 }
 
@@ -201,7 +204,7 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has
             total += 5.0 * w * net->widths[l + 1] * per[l + 1] + 9.0 * w * w * net->up_convs[l] * per[l];
         head += w * group_planes(l + 1) * per[l];
     }
-    if (has_light) total += (double)(QL_NET_DIMS + 2) * net->widths[0];
+    if (has_light) total += (QL_NET_NARROW_GROUPS * (QL_NET_DIMS + 1.0) + 1.0) * net->widths[0];
     return total + num_groups * head;
 }
 
@@ -383,7 +386,7 @@ void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_n
 {
     const ql_conv *const conv = head == QL_HEAD_DOWN    ? &net->head_down[group]
                                 : head == QL_HEAD_UP    ? &net->head_up[group]
-                                : head == QL_HEAD_COLOR ? &net->head_color
+                                : head == QL_HEAD_NARROW ? &net->head_narrow[group]
                                                         : &net->head_mix;
     const uint32_t planes = ql_head_planes(head);
     ql_conv_apply_row(conv, kernels, &maps->level[0], x, y, num, 0, buffer);

@@ -161,7 +161,7 @@ static void choose(const ql_frame *frame, const char *wanted, ql_plan *plan, uin
     out->action = QUELL_ACTION_DENOISED;
     out->source = source_of(set, layer, (int32_t)index);
     /* What the camera sees directly is noisy at edges and under blur alone, as colours are. */
-    if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) group = QL_GROUP_COLOR;
+    if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) group = QL_GROUP_EMISSION;
     /* The other groups' kernels were trained with all light passes beside each other. */
     out->group = set->has_light ? group : QL_GROUP_BEAUTY;
 }

@@ -26,7 +26,8 @@ EMBEDDING = 10  # dimensions; all passes share them
 DETAIL = 16  # channels at full resolution, in and between
 GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "partition": 1, "importance": 1}
 FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
-COLOR_FIELDS = EMBEDDING + 1  # colours and emission: one narrow kernel, at full resolution alone
+NARROW_GROUPS = ("color", "emission")  # 5x5 kernels at full resolution alone
+NARROW_FIELDS = EMBEDDING + 1  # scale, centre
 IMPORTANCE_RANGE = 12.0  # logits beyond it change nothing; keeps the division far from underflow
 COLOR_EPSILON = 0.02  # a colour this small halves the weight of its light: the ratio is noise there
 
@@ -37,8 +38,9 @@ def group_planes(level: int) -> int:
 
 
 def head_planes(level: int) -> int:
-    """Planes of a level's whole head, in its order: groups, at full resolution colours and mix, the embedding."""
-    return len(GROUPS) * group_planes(level) + (COLOR_FIELDS + 1 if level == 0 else 0) + EMBEDDING
+    """Planes of a level's whole head, in its order: groups, at full resolution narrow groups and mix, the embedding."""
+    narrow = len(NARROW_GROUPS) * NARROW_FIELDS + 1 if level == 0 else 0
+    return len(GROUPS) * group_planes(level) + narrow + EMBEDDING
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,11 @@ class Denoised:
 
 @dataclass(frozen=True)
 class Head:
-    """A level's head, float32. color (scale, centre) and mix at full resolution alone."""
+    """A level's head, float32. narrow (scale, centre) and mix at full resolution alone."""
 
     groups: Tensor  # [n,groups,fields,h,w]
     embedding: Tensor  # [n,e,h,w]: the head's share
-    color: Tensor | None = None
+    narrow: Tensor | None = None  # [n,narrow groups,fields,h,w]
     mix: Tensor | None = None
 
 
@@ -78,8 +80,10 @@ def split_head(x: Tensor, level: int) -> Head:
     if level > 0:
         groups, embedding = x.split([len(GROUPS) * planes, EMBEDDING], 1)
         return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding)
-    groups, color, mix, embedding = x.split([len(GROUPS) * planes, COLOR_FIELDS, 1, EMBEDDING], 1)
-    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, color, mix)
+    narrow_planes = len(NARROW_GROUPS) * NARROW_FIELDS
+    groups, narrow, mix, embedding = x.split([len(GROUPS) * planes, narrow_planes, 1, EMBEDDING], 1)
+    narrow = narrow.unflatten(1, (len(NARROW_GROUPS), NARROW_FIELDS))
+    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, narrow, mix)
 
 
 def conv3x3(channels: int) -> nn.Conv2d:
@@ -107,7 +111,7 @@ class QuellNet(nn.Module):
         self.guides = nn.Conv2d(GUIDE_PLANES.stop - GUIDE_PLANES.start, EMBEDDING, 1, bias=False)
         self.filter_table = nn.ParameterList(torch.zeros(len(GROUPS), 1, FILTER_TAPS) for _ in range(LEVELS))
         self.up_table = nn.ParameterList(torch.zeros(len(GROUPS), 4, UP_TAPS) for _ in range(LEVELS - 1))
-        self.color_table = nn.Parameter(torch.zeros(1, 1, FILTER_TAPS))
+        self.narrow_table = nn.Parameter(torch.zeros(len(NARROW_GROUPS), 1, FILTER_TAPS))
         self.detail_in = nn.Conv2d(DETAIL, DETAIL, 3, padding=1)
         self.detail_out = nn.Conv2d(DETAIL, EMBEDDING, 3, padding=1)
         self.initialise()
@@ -138,7 +142,7 @@ class QuellNet(nn.Module):
             self.guides.weight.data[dimension, plane] = gain
         offset = torch.arange(FILTER_TAPS)
         gauss = -((offset // 5 - 2) ** 2 + (offset % 5 - 2) ** 2) / 8.0
-        for table in (*self.filter_table, self.color_table):
+        for table in (*self.filter_table, self.narrow_table):
             table.data[:] = gauss
         tent = torch.tensor([[0.25, 0.75, 0.02], [0.02, 0.75, 0.25]])  # of the parents before, at and behind, by parity
         for table in self.up_table:
@@ -203,6 +207,16 @@ def importance_weight(logits: Tensor) -> Tensor:
     return torch.sigmoid(logits.clamp(-IMPORTANCE_RANGE, IMPORTANCE_RANGE))
 
 
+def filter_narrow(net: QuellNet, head: Head, embedding: Tensor, values: Tensor, name: str) -> Tensor:
+    """Homogeneous values [n,c,h,w] by the 5x5 kernels of a narrow group."""
+    assert head.narrow is not None
+    index = NARROW_GROUPS.index(name)
+    scale, centre = head.narrow[:, index].split([EMBEDDING, 1], 1)
+    level = Level(embedding, embedding, scale.clamp(-MAX_SCALE, MAX_SCALE), centre, net.narrow_table)
+    image = torch.arange(len(values))
+    return divide(filter_level(values, level, image, torch.full_like(image, index)))
+
+
 def divide(values: Tensor) -> Tensor:
     """Homogeneous values back to pixels."""
     values, validity = values.split([values.shape[1] - 1, 1], 1)
@@ -243,17 +257,13 @@ def filter_layers(net: QuellNet, features: Features, layers: Layers, inside: Ten
     light = torch.where(colored[:, :, None], light, layers.light)
 
     # What the camera sees directly, colours and emitters, is noisy at edges and under blur alone: narrow kernels.
-    head = heads[0]
-    assert head.color is not None and head.mix is not None
-    scale, centre = head.color.split([EMBEDDING, 1], 1)
-    narrow = Level(embeddings[0], embeddings[0], scale.clamp(-MAX_SCALE, MAX_SCALE), centre, net.color_table)
-    seen = torch.cat([layers.color.flatten(1, 2), layers.emission, inside], 1)
-    seen = divide(filter_level(seen, narrow, torch.arange(n), torch.zeros(n, dtype=torch.long)))
-    color, emission = seen.split([9, 3], 1)
-    color = color.view_as(layers.color)
+    color = torch.cat([layers.color.flatten(1, 2), inside], 1)
+    color = filter_narrow(net, heads[0], embeddings[0], color, "color").view_as(layers.color)
+    emission = torch.cat([layers.emission, inside], 1)
+    emission = filter_narrow(net, heads[0], embeddings[0], emission, "emission")
     parts = light.sum(2)
     rebuilt = (parts[:, :3] * color).sum(1) + parts[:, 3] + emission
-    mix = torch.sigmoid(head.mix)
+    mix = torch.sigmoid(heads[0].mix)
     combined = mix * rebuilt + (1 - mix) * direct
     return Denoised(combined, direct, rebuilt, light, color, emission)
 
@@ -281,4 +291,4 @@ def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
         total += config.up_convs[i] * 9 * w[i] ** 2 * per[i]
     head = group_planes(0) * w[0] + sum(group_planes(i + 1) * w[i] * per[i] for i in range(4))
     total += groups * head + EMBEDDING * (w[0] + GUIDE_PLANES.stop - GUIDE_PLANES.start)
-    return total + ((COLOR_FIELDS + 1) * w[0] if light else 0)
+    return total + ((len(NARROW_GROUPS) * NARROW_FIELDS + 1) * w[0] if light else 0)
