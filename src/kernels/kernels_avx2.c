@@ -65,6 +65,36 @@ static inline void v_deinterleave(const float *p, size_t n, vf *even, vf *odd)
     *odd = _mm256_shuffle_ps(a, b, 0xdd);
 }
 
+static inline void v_transpose(vf *r)
+{
+    vf t[8];
+    for (size_t i = 0; i < 8; i += 4) {
+        const vf a = _mm256_unpacklo_ps(r[i], r[i + 1]), b = _mm256_unpackhi_ps(r[i], r[i + 1]);
+        const vf c = _mm256_unpacklo_ps(r[i + 2], r[i + 3]), d = _mm256_unpackhi_ps(r[i + 2], r[i + 3]);
+        t[i] = _mm256_shuffle_ps(a, c, 0x44);
+        t[i + 1] = _mm256_shuffle_ps(a, c, 0xee);
+        t[i + 2] = _mm256_shuffle_ps(b, d, 0x44);
+        t[i + 3] = _mm256_shuffle_ps(b, d, 0xee);
+    }
+    for (size_t i = 0; i < 4; ++i) {
+        r[i] = _mm256_permute2f128_ps(t[i], t[4 + i], 0x20);
+        r[4 + i] = _mm256_permute2f128_ps(t[i], t[4 + i], 0x31);
+    }
+}
+
+static inline void v_transpose_pairs(vf *r)
+{
+    vf t[4];
+    for (size_t i = 0; i < 4; i += 2) {
+        t[i] = _mm256_shuffle_ps(r[i], r[i + 1], 0x44);
+        t[i + 1] = _mm256_shuffle_ps(r[i], r[i + 1], 0xee);
+    }
+    for (size_t i = 0; i < 2; ++i) {
+        r[i] = _mm256_permute2f128_ps(t[i], t[2 + i], 0x20);
+        r[2 + i] = _mm256_permute2f128_ps(t[i], t[2 + i], 0x31);
+    }
+}
+
 #include "kernels/simd_tmpl.h"
 #include "kernels/wide_tmpl.h"
 

@@ -68,6 +68,54 @@ static inline void v_deinterleave(const float *p, size_t n, vf *even, vf *odd)
     *odd = _mm512_permutex2var_ps(low, odd_index, high);
 }
 
+/* Blocks of 4x4 values, or 2x2 pairs, within quarters; then the quarters. */
+static inline void transpose_quarters(vf *r, const vf *t)
+{
+    for (size_t i = 0; i < 4; ++i) {
+        const vf a = _mm512_shuffle_f32x4(t[i], t[4 + i], 0x88), b = _mm512_shuffle_f32x4(t[i], t[4 + i], 0xdd);
+        const vf c = _mm512_shuffle_f32x4(t[8 + i], t[12 + i], 0x88),
+                 d = _mm512_shuffle_f32x4(t[8 + i], t[12 + i], 0xdd);
+        r[i] = _mm512_shuffle_f32x4(a, c, 0x88);
+        r[4 + i] = _mm512_shuffle_f32x4(b, d, 0x88);
+        r[8 + i] = _mm512_shuffle_f32x4(a, c, 0xdd);
+        r[12 + i] = _mm512_shuffle_f32x4(b, d, 0xdd);
+    }
+}
+
+static inline void v_transpose(vf *r)
+{
+    vf t[16];
+    for (size_t i = 0; i < 16; i += 4) {
+        const __m512d a = _mm512_castps_pd(_mm512_unpacklo_ps(r[i], r[i + 1]));
+        const __m512d b = _mm512_castps_pd(_mm512_unpackhi_ps(r[i], r[i + 1]));
+        const __m512d c = _mm512_castps_pd(_mm512_unpacklo_ps(r[i + 2], r[i + 3]));
+        const __m512d d = _mm512_castps_pd(_mm512_unpackhi_ps(r[i + 2], r[i + 3]));
+        t[i] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, c));
+        t[i + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, c));
+        t[i + 2] = _mm512_castpd_ps(_mm512_unpacklo_pd(b, d));
+        t[i + 3] = _mm512_castpd_ps(_mm512_unpackhi_pd(b, d));
+    }
+    transpose_quarters(r, t);
+}
+
+static inline void v_transpose_pairs(vf *r)
+{
+    vf t[8];
+    for (size_t i = 0; i < 8; i += 2) {
+        const __m512d a = _mm512_castps_pd(r[i]), b = _mm512_castps_pd(r[i + 1]);
+        t[i] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
+        t[i + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
+    }
+    for (size_t i = 0; i < 2; ++i) {
+        const vf a = _mm512_shuffle_f32x4(t[i], t[2 + i], 0x88), b = _mm512_shuffle_f32x4(t[i], t[2 + i], 0xdd);
+        const vf c = _mm512_shuffle_f32x4(t[4 + i], t[6 + i], 0x88), d = _mm512_shuffle_f32x4(t[4 + i], t[6 + i], 0xdd);
+        r[i] = _mm512_shuffle_f32x4(a, c, 0x88);
+        r[2 + i] = _mm512_shuffle_f32x4(b, d, 0x88);
+        r[4 + i] = _mm512_shuffle_f32x4(a, c, 0xdd);
+        r[6 + i] = _mm512_shuffle_f32x4(b, d, 0xdd);
+    }
+}
+
 #include "kernels/simd_tmpl.h"
 #include "kernels/wide_tmpl.h"
 

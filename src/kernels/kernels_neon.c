@@ -79,6 +79,25 @@ static inline void v_deinterleave(const float *p, size_t n, vf *even, vf *odd)
     *odd = vld1q_f32(lanes[1]);
 }
 
+static inline void v_transpose_pairs(vf *r)
+{
+    const float64x2_t a = vreinterpretq_f64_f32(r[0]), b = vreinterpretq_f64_f32(r[1]);
+    r[0] = vreinterpretq_f32_f64(vzip1q_f64(a, b));
+    r[1] = vreinterpretq_f32_f64(vzip2q_f64(a, b));
+}
+
+static inline void v_transpose(vf *r)
+{
+    vf low[2] = {vzip1q_f32(r[0], r[1]), vzip1q_f32(r[2], r[3])};
+    vf high[2] = {vzip2q_f32(r[0], r[1]), vzip2q_f32(r[2], r[3])};
+    v_transpose_pairs(low);
+    v_transpose_pairs(high);
+    r[0] = low[0];
+    r[1] = low[1];
+    r[2] = high[0];
+    r[3] = high[1];
+}
+
 #include "kernels/simd_tmpl.h"
 #include "kernels/wide_tmpl.h"
 

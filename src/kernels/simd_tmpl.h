@@ -11,6 +11,8 @@
  *   v_gt_select(a, b, x, y) a > b ? x : y
  *   v_twice(p, n)          lanes p[0] p[0] p[1] p[1] ...; reads n / 2 floats for n lanes
  *   v_deinterleave(p, n, &even, &odd)  p[0] p[2] ..., p[1] p[3] ...; reads 2 n floats for n lanes
+ *   v_transpose(r)         r[i][j] <-> r[j][i] of QL_W vectors
+ *   v_transpose_pairs(r)   the same of QL_W / 2 vectors of QL_W / 2 pairs of floats
  *   QL_TILE1 .. QL_TILE4   pixels per register tile at 1 to 4 vectors of channels
  *
  * A lane's operations do not depend on where it stands, so tails and tiles give the same bits.
@@ -316,6 +318,50 @@ static void tone_row(const float *in, float scale, float *out, uint32_t num_pixe
     }
 }
 
+/* ---- Channels to planes ------------------------------------------------------------------------------------------- */
+
+/* num_pixels x num_planes, each at most QL_W / group. */
+static inline __attribute__((always_inline)) void planes_block(const float *in, size_t in_stride, size_t num_planes,
+                                                               size_t group, float *out, size_t out_stride,
+                                                               size_t num_pixels)
+{
+    vf rows[QL_W];
+    for (size_t i = 0; i < QL_W / group; ++i)
+        rows[i] = i < num_pixels ? v_load_some(in + i * in_stride, num_planes * group) : v_set1(0.0f);
+    if (group == 1)
+        v_transpose(rows);
+    else
+        v_transpose_pairs(rows);
+    for (size_t k = 0; k < num_planes; ++k) v_store_some(out + k * out_stride, rows[k], num_pixels * group);
+}
+
+static inline __attribute__((always_inline)) void planes_blocks(const float *in, size_t in_stride, size_t num_planes,
+                                                                size_t group, float *out, size_t out_stride,
+                                                                size_t num_pixels)
+{
+    const size_t step = QL_W / group;
+    for (size_t x = 0; x < num_pixels; x += step) {
+        const size_t n = num_pixels - x < step ? num_pixels - x : step;
+        for (size_t k = 0; k < num_planes; k += step) {
+            const float *const from = in + x * in_stride + k * group;
+            float *const to = out + k * out_stride + x * group;
+            if (n == step && num_planes - k >= step)
+                planes_block(from, in_stride, step, group, to, out_stride, step);
+            else
+                planes_block(from, in_stride, num_planes - k < step ? num_planes - k : step, group, to, out_stride, n);
+        }
+    }
+}
+
+static void planes_row(const float *in, size_t in_stride, uint32_t num_planes, uint32_t group, float *out,
+                       size_t out_stride, uint32_t num_pixels)
+{
+    if (group == 1)
+        planes_blocks(in, in_stride, num_planes, 1, out, out_stride, num_pixels);
+    else
+        planes_blocks(in, in_stride, num_planes, 2, out, out_stride, num_pixels);
+}
+
 static void fill_table(ql_kernels *kernels, const char *name)
 {
     kernels->name = name;
@@ -326,4 +372,5 @@ static void fill_table(ql_kernels *kernels, const char *name)
     kernels->sigmoid_row = sigmoid_row;
     kernels->exp_row = exp_row;
     kernels->tone_row = tone_row;
+    kernels->planes_row = planes_row;
 }
