@@ -4,6 +4,7 @@
 
 #include "api/structs.h"
 #include "base/cpu.h"
+#include "base/os.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -45,7 +46,7 @@ static quell_status read_options(const quell_context_options *given, quell_conte
                        MAX_THREADS);
     }
     if (options->num_threads == 0) {
-        const uint32_t cores = ql_cpu_num_cores();
+        const uint32_t cores = ql_os_num_cores();
         options->num_threads = cores < MAX_THREADS ? cores : MAX_THREADS;
     }
     if (options->max_memory_bytes == 0) options->max_memory_bytes = DEFAULT_MEMORY_BYTES;

@@ -1,13 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Asks the processor and the operating system what may be used. CPUID alone is not enough: an operating system (or a
  * hypervisor) that does not save the wide registers makes their use a fault, and says so in XCR0. */
-#if !defined(_GNU_SOURCE)
-#define _GNU_SOURCE /* sched_getaffinity */
-#endif
 #include "base/cpu.h"
-
-#include <sched.h>
-#include <unistd.h>
 
 #if defined(__x86_64__)
 #include <cpuid.h>
@@ -65,17 +59,4 @@ uint32_t ql_cpu_probe(void)
 #else
     return 0;
 #endif
-}
-
-uint32_t ql_cpu_num_cores(void)
-{
-    cpu_set_t set;
-    CPU_ZERO(&set);
-    if (sched_getaffinity(0, sizeof set, &set) == 0) {
-        const int num = CPU_COUNT(&set);
-        if (num > 0) return (uint32_t)num;
-    }
-    /* The mask is too small for machines of over 1024 processors. */
-    const long online = sysconf(_SC_NPROCESSORS_ONLN);
-    return online > 0 ? (uint32_t)online : 1;
 }

@@ -13,6 +13,5 @@ enum {
 };
 
 uint32_t ql_cpu_probe(void);
-uint32_t ql_cpu_num_cores(void); /* those this process may run on, at least 1 */
 
 #endif

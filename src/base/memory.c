@@ -3,7 +3,8 @@
  * needs no size and the count cannot drift. */
 #include "base/memory.h"
 
-#include <stdlib.h>
+#include "base/os.h"
+
 #include <string.h>
 
 #define HEADER_BYTES QL_ALIGNMENT
@@ -64,10 +65,10 @@ void *ql_alloc(ql_memory *memory, size_t num, size_t size_bytes)
     size_t bytes, total;
     if (ql_mul_size(num, size_bytes, &bytes) != 0) return NULL;
     if (ql_add_size(bytes, HEADER_BYTES + QL_ALIGNMENT - 1, &total) != 0) return NULL;
-    total -= total % QL_ALIGNMENT; /* aligned_alloc wants a multiple */
+    total -= total % QL_ALIGNMENT; /* ql_os_alloc_aligned wants a multiple */
 
     if (is_made_to_fail(memory) || reserve(memory, total) != 0) return NULL;
-    uint8_t *base = aligned_alloc(QL_ALIGNMENT, total);
+    uint8_t *base = ql_os_alloc_aligned(QL_ALIGNMENT, total);
     if (!base) {
         atomic_fetch_sub(&memory->used_bytes, (uint64_t)total);
         return NULL;
@@ -88,7 +89,7 @@ void ql_free(ql_memory *memory, void *pointer)
     if (!pointer) return;
     uint8_t *base = (uint8_t *)pointer - HEADER_BYTES;
     atomic_fetch_sub(&memory->used_bytes, ((const block_header *)(const void *)base)->total_bytes);
-    free(base);
+    ql_os_free_aligned(base);
 }
 
 char *ql_strdup(ql_memory *memory, const char *text)

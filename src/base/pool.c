@@ -5,9 +5,9 @@
 #include "base/pool.h"
 
 #include "base/clock.h"
+#include "base/os.h"
 
 #include <pthread.h>
-#include <signal.h>
 
 /* At most this often does the caller's callback run: it may redraw a window. */
 #define PROGRESS_INTERVAL_SECONDS 0.1
@@ -75,22 +75,16 @@ static void *worker_main(void *argument)
     return NULL;
 }
 
-/* Signals belong to the host program's threads, so the workers block them all. */
 static int start_threads(ql_pool *pool)
 {
-    sigset_t all, before;
-    sigfillset(&all);
-    if (pthread_sigmask(SIG_SETMASK, &all, &before) != 0) return -1;
-
     int failed = 0;
     for (uint32_t i = 0; i + 1 < pool->num_threads && !failed; i++) {
         pool_worker *worker = &pool->workers[i];
         worker->pool = pool;
         worker->index = i + 1;
-        failed = pthread_create(&worker->thread, NULL, worker_main, worker);
+        failed = ql_os_start_thread(&worker->thread, worker_main, worker);
         if (!failed) pool->num_started++;
     }
-    pthread_sigmask(SIG_SETMASK, &before, NULL);
     return failed ? -1 : 0;
 }
 

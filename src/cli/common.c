@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Messages, options and the context that all subcommands share. */
 #include "cli/cli.h"
+#include "cli/platform.h"
 
 #include <errno.h>
 #include <math.h>
-#include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
@@ -65,7 +65,10 @@ static int begins_with_file(const char *text, const char *file)
     const char *colon = strstr(text, ": ");
     if (!colon || colon == text) return 0;
     const size_t subject = (size_t)(colon - text);
-    return memchr(text, '/', subject) || (memchr(text, '.', subject) && !memchr(text, ' ', subject));
+    for (size_t i = 0; i < subject; i++) {
+        if (cli_is_separator(text[i])) return 1;
+    }
+    return memchr(text, '.', subject) && !memchr(text, ' ', subject);
 }
 
 int cli_error_status(const char *file, const quell_context *ctx, quell_status status)
@@ -160,7 +163,7 @@ int cli_common_option(cli_common *common, const char *command, int code, const c
 
 /* ---- Context ----------------------------------------------------------------------------------------------------- */
 
-/* Only atomics here: it runs inside a signal. A second Ctrl-C finds the default action and ends the program. */
+/* Only atomics here: it runs inside a signal, or on another thread. */
 static void on_signal(int number)
 {
     atomic_store(&caught_signal, number);
@@ -188,13 +191,7 @@ int cli_context_create(const cli_common *common, quell_context **out)
         return status == QUELL_ERR_UNSUPPORTED ? CLI_EXIT_USAGE : cli_exit_code(status);
     }
     atomic_store(&running_context, *out);
-
-    struct sigaction action;
-    memset(&action, 0, sizeof action);
-    action.sa_handler = on_signal;
-    action.sa_flags = (int)SA_RESETHAND;
-    sigaction(SIGINT, &action, NULL);
-    sigaction(SIGTERM, &action, NULL);
+    cli_catch_interrupts(on_signal);
     return CLI_EXIT_OK;
 }
 

@@ -3,6 +3,7 @@
 #include "cli/cli.h"
 #include "cli/json.h"
 #include "cli/paths.h"
+#include "cli/platform.h"
 #include "cli/progress.h"
 
 #include <stdio.h>

@@ -2,6 +2,7 @@
 #include "cli/json.h"
 
 #include "cli/cli.h"
+#include "cli/platform.h"
 
 #include <errno.h>
 #include <math.h>
@@ -124,7 +125,7 @@ static int write_whole(const char *text, const char *path)
     memcpy(temporary, path, length);
     memcpy(temporary + length, ".part", 6);
 
-    FILE *file = fopen(temporary, "w");
+    FILE *file = cli_fopen(temporary, "wb");
     const int missing = !file && errno == ENOENT;
     int good = file && fputs(text, file) >= 0 && fputc('\n', file) != EOF;
     int reason = good ? 0 : errno;
@@ -132,12 +133,12 @@ static int write_whole(const char *text, const char *path)
         good = 0;
         reason = errno;
     }
-    if (good && rename(temporary, path) != 0) {
-        good = 0;
-        reason = errno;
+    if (good) {
+        reason = cli_replace_file(temporary, path);
+        good = reason == 0;
     }
     if (!good) {
-        if (file) remove(temporary);
+        if (file) cli_remove_file(temporary);
         cli_error(path, "cannot be written: %s", strerror(reason));
     }
     free(temporary);

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The `quell` tool: picks the subcommand, and answers --help and --version. */
 #include "cli/cli.h"
+#include "cli/platform.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -108,7 +109,7 @@ static int run(int argc, char **argv)
     return cli_usage_error(NULL, "'%s' is no command of quell", argv[1]);
 }
 
-int main(int argc, char **argv)
+int cli_main(int argc, char **argv)
 {
     const int code = run(argc, argv);
     /* A full disk behind a redirected stdout must not look like success. */

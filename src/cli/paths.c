@@ -2,10 +2,11 @@
 /* Names of outputs; see paths.h for the rule. */
 #include "cli/paths.h"
 
+#include "cli/platform.h"
+
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 
 typedef struct text {
     char *data;
@@ -38,12 +39,6 @@ static char *finish(text *t)
     return NULL;
 }
 
-static int is_folder(const char *path)
-{
-    struct stat facts;
-    return stat(path, &facts) == 0 && S_ISDIR(facts.st_mode);
-}
-
 static int is_digit(char c)
 {
     return c >= '0' && c <= '9';
@@ -51,8 +46,11 @@ static int is_digit(char c)
 
 const char *cli_base_name(const char *path)
 {
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
+    const char *name = path;
+    for (const char *c = path; *c; c++) {
+        if (cli_is_separator(*c)) name = c + 1;
+    }
+    return name;
 }
 
 static size_t stem_length(const char *name)
@@ -64,7 +62,7 @@ static size_t stem_length(const char *name)
 int cli_out_kind(const char *out)
 {
     const size_t length = strlen(out);
-    if ((length > 0 && out[length - 1] == '/') || is_folder(out)) return CLI_OUT_FOLDER;
+    if ((length > 0 && cli_is_separator(out[length - 1])) || cli_is_folder(out)) return CLI_OUT_FOLDER;
     if (strstr(out, "{name}") || strchr(cli_base_name(out), '#')) return CLI_OUT_PATTERN;
     return CLI_OUT_FILE;
 }
@@ -74,7 +72,7 @@ static char *folder_path(const char *out, const char *input)
     text t = {0};
     const size_t length = strlen(out);
     append(&t, out, length);
-    if (length > 0 && out[length - 1] != '/') append(&t, "/", 1);
+    if (length > 0 && !cli_is_separator(out[length - 1])) append(&t, "/", 1);
     const char *name = cli_base_name(input);
     append(&t, name, strlen(name));
     return finish(&t);
@@ -133,10 +131,4 @@ char *cli_out_path(const char *out, const char *input, const char **why)
         return finish(&t);
     }
     }
-}
-
-int cli_is_same_file(const char *a, const char *b)
-{
-    struct stat x, y;
-    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
 }

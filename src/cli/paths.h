@@ -16,10 +16,7 @@ int cli_out_kind(const char *out);
  *            zeros to at least the run's length */
 char *cli_out_path(const char *out, const char *input, const char **why);
 
-/* Whether both names lead to one existing file. */
-int cli_is_same_file(const char *a, const char *b);
-
-/* The part behind the last '/'. */
+/* The part behind the last separator of folders. */
 const char *cli_base_name(const char *path);
 
 #endif

@@ -2,19 +2,16 @@
 #include "cli/progress.h"
 
 #include "cli/cli.h"
+#include "cli/platform.h"
 
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 
 #define BAR_WIDTH 30
 
 void cli_progress_begin(cli_progress *progress, const char *label, int is_quiet)
 {
-    const char *terminal = getenv("TERM");
     progress->label = label;
-    progress->is_shown = !is_quiet && isatty(STDERR_FILENO) && terminal && strcmp(terminal, "dumb") != 0;
+    progress->is_shown = !is_quiet && cli_has_terminal();
     (void)cli_progress_update(progress, 0.0);
 }
 

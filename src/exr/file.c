@@ -1,27 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* POSIX files. An output is written under a temporary name in the target's folder, synced, renamed, and the folder
- * synced, so that a crash leaves either the old file or the new one. Knows nothing of EXR. */
-#ifndef _POSIX_C_SOURCE
-#define _POSIX_C_SOURCE 200809L
-#endif
-#ifndef _XOPEN_SOURCE
-#define _XOPEN_SOURCE 700 /* realpath */
-#endif
+/* An output is written under a temporary name in the target's folder, synced and renamed, so that a crash leaves either
+ * the old file or the new one. Knows nothing of EXR. */
 #include "exr/file.h"
 
+#include "base/os.h"
+
 #include <errno.h>
-#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #define MAX_TEMPORARY_NAMES 1000
 
 struct ql_file {
     ql_memory *memory;
-    int descriptor;
+    ql_os_file handle;
     uint64_t size_bytes;
     char *path;      /* as the caller wrote it, for messages */
     char *target;    /* outputs: where it goes, symbolic links followed */
@@ -42,11 +35,16 @@ static ql_file *new_file(ql_memory *memory, const char *path)
     ql_file *file = ql_alloc_zero(memory, 1, sizeof *file);
     if (!file) return NULL;
     file->memory = memory;
-    file->descriptor = -1;
+    file->handle = QL_OS_NO_FILE;
     file->path = ql_strdup(memory, path);
     if (file->path) return file;
     free_file(file);
     return NULL;
+}
+
+static const char *name_of_kind(int kind)
+{
+    return kind == QL_OS_FOLDER ? "a folder" : "a device or pipe";
 }
 
 uint64_t ql_file_size(const ql_file *file)
@@ -63,27 +61,25 @@ const char *ql_file_path(const ql_file *file)
 
 quell_status ql_file_open(ql_memory *memory, const char *path, ql_file **out, ql_error *err)
 {
+    ql_os_file handle;
+    ql_os_facts facts = {.kind = QL_OS_DEVICE};
     *out = NULL;
-    /* Not blocking: the open of a pipe would wait for its writer. It means nothing to a regular file. */
-    const int descriptor = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-    if (descriptor < 0) {
-        const quell_status status =
-            errno == ENOENT || errno == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND : QUELL_ERR_FILE_READ;
-        return ql_fail(err, status, "%s: cannot be opened: %s", path, strerror(errno));
+    const int error = ql_os_open(path, &handle);
+    if (error) {
+        const quell_status status = error == ENOENT || error == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND : QUELL_ERR_FILE_READ;
+        return ql_fail(err, status, "%s: cannot be opened: %s", path, ql_os_reason(error));
     }
-    struct stat facts;
-    if (fstat(descriptor, &facts) != 0 || !S_ISREG(facts.st_mode)) {
-        close(descriptor);
-        return ql_fail(err, QUELL_ERR_FILE_READ, "%s: is %s, not a file", path,
-                       S_ISDIR(facts.st_mode) ? "a folder" : "a device or pipe");
+    if (ql_os_file_facts(handle, &facts) != 0 || facts.kind != QL_OS_REGULAR) {
+        ql_os_close(handle);
+        return ql_fail(err, QUELL_ERR_FILE_READ, "%s: is %s, not a file", path, name_of_kind(facts.kind));
     }
     ql_file *file = new_file(memory, path);
     if (!file) {
-        close(descriptor);
+        ql_os_close(handle);
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: no memory to open it", path);
     }
-    file->descriptor = descriptor;
-    file->size_bytes = (uint64_t)facts.st_size;
+    file->handle = handle;
+    file->size_bytes = facts.size_bytes;
     *out = file;
     return QUELL_OK;
 }
@@ -91,7 +87,7 @@ quell_status ql_file_open(ql_memory *memory, const char *path, ql_file **out, ql
 void ql_file_close(ql_file *file)
 {
     if (!file) return;
-    if (file->descriptor >= 0) close(file->descriptor);
+    if (file->handle != QL_OS_NO_FILE) ql_os_close(file->handle);
     free_file(file);
 }
 
@@ -103,90 +99,74 @@ int ql_file_read(const ql_file *file, void *buffer, size_t num_bytes, uint64_t o
         return -1;
     }
     while (num_bytes > 0) {
-        const ssize_t got = pread(file->descriptor, to, num_bytes, (off_t)offset);
-        if (got < 0 && errno == EINTR) continue;
-        if (got <= 0) {
-            *reason = got < 0 ? strerror(errno) : "the file ends too early";
+        size_t got;
+        const int error = ql_os_read(file->handle, to, num_bytes, offset, &got);
+        if (error || got == 0) {
+            *reason = error ? ql_os_reason(error) : "the file ends too early";
             return -1;
         }
         to += got;
-        num_bytes -= (size_t)got;
-        offset += (uint64_t)got;
+        num_bytes -= got;
+        offset += got;
     }
     return 0;
 }
 
 /* ---- Writing ----------------------------------------------------------------------------------------------------- */
 
-static const char *reason_of(int error)
-{
-    return error == ENOSPC ? "the disk is full" : strerror(error);
-}
-
 /* The file that `path` will name: itself, or what a symbolic link leads to, so that the link stays. */
 static char *resolve_target(ql_memory *memory, const char *path)
 {
-    struct stat facts;
-    if (lstat(path, &facts) == 0 && S_ISLNK(facts.st_mode)) {
-        char *resolved = realpath(path, NULL);
-        if (resolved) {
-            char *copy = ql_strdup(memory, resolved);
-            free(resolved);
-            return copy;
-        }
-    }
-    return ql_strdup(memory, path);
+    char *resolved = ql_os_resolve_link(path);
+    char *copy = ql_strdup(memory, resolved ? resolved : path);
+    free(resolved);
+    return copy;
 }
 
-/* Length of the folder part with its slash, 0 for a bare name. */
-static size_t folder_length(const char *path)
+static quell_status check_target(const ql_file *file, uint32_t *permissions, ql_error *err)
 {
-    const char *slash = strrchr(path, '/');
-    return slash ? (size_t)(slash - path) + 1 : 0;
-}
-
-static quell_status check_target(const ql_file *file, mode_t *mode, ql_error *err)
-{
-    struct stat facts;
-    *mode = 0;
-    if (!file->target[folder_length(file->target)]) {
+    ql_os_facts facts;
+    *permissions = 0;
+    if (!file->target[ql_os_folder_length(file->target)]) {
         return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: is a folder, not a file name", file->path);
     }
-    if (stat(file->target, &facts) != 0) return QUELL_OK;
-    if (!S_ISREG(facts.st_mode)) {
+    if (ql_os_path_facts(file->target, &facts) != 0) return QUELL_OK;
+    if (facts.kind != QL_OS_REGULAR) {
         return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: is %s and cannot be replaced by a file", file->path,
-                       S_ISDIR(facts.st_mode) ? "a folder" : "a device or pipe");
+                       name_of_kind(facts.kind));
     }
-    if (access(file->target, W_OK) != 0) {
-        return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: exists and may not be written: %s", file->path, strerror(errno));
+    const int error = ql_os_check_writable(file->target);
+    if (error) {
+        return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: exists and may not be written: %s", file->path,
+                       ql_os_reason(error));
     }
-    *mode = facts.st_mode & 07777;
+    *permissions = facts.permissions;
     return QUELL_OK;
 }
 
 static quell_status open_temporary(ql_file *file, ql_error *err)
 {
-    const size_t folder = folder_length(file->target);
+    const size_t folder = ql_os_folder_length(file->target);
+    int error = EEXIST;
     const size_t capacity = folder + 64;
     file->temporary = ql_alloc(file->memory, capacity, 1);
     if (!file->temporary) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: no memory to write it", file->path);
 
-    for (unsigned i = 0; i < MAX_TEMPORARY_NAMES; i++) {
+    for (unsigned i = 0; i < MAX_TEMPORARY_NAMES && error == EEXIST; i++) {
         memcpy(file->temporary, file->target, folder);
-        snprintf(file->temporary + folder, capacity - folder, ".quell-%ld-%u.tmp", (long)getpid(), i);
-        file->descriptor = open(file->temporary, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-        if (file->descriptor >= 0) return QUELL_OK;
-        if (errno != EEXIST) break;
+        snprintf(file->temporary + folder, capacity - folder, ".quell-%lu-%u.tmp", ql_os_process_id(), i);
+        error = ql_os_create(file->temporary, &file->handle);
     }
-    if (errno == ENOENT || errno == ENOTDIR) {
+    if (!error) return QUELL_OK;
+    if (error == ENOENT || error == ENOTDIR) {
         return ql_fail(err, QUELL_ERR_FILE_NOT_FOUND, "%s: the folder to write it into is missing", file->path);
     }
-    return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path, reason_of(errno));
+    return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path, ql_os_reason(error));
 }
 
 quell_status ql_file_create(ql_memory *memory, const char *path, ql_file **out, ql_error *err)
 {
-    mode_t mode = 0;
+    uint32_t permissions = 0;
     *out = NULL;
     ql_file *file = new_file(memory, path);
     if (file) file->target = resolve_target(memory, path);
@@ -194,14 +174,14 @@ quell_status ql_file_create(ql_memory *memory, const char *path, ql_file **out, 
         if (file) free_file(file);
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: no memory to write it", path);
     }
-    quell_status status = check_target(file, &mode, err);
+    quell_status status = check_target(file, &permissions, err);
     if (status == QUELL_OK) status = open_temporary(file, err);
     if (status != QUELL_OK) {
         free_file(file);
         return status;
     }
     /* A file that is replaced keeps its permissions. Not being allowed to is no reason to fail. */
-    if (mode && fchmod(file->descriptor, mode) != 0) errno = 0;
+    if (permissions) ql_os_set_permissions(file->handle, permissions);
     *out = file;
     return QUELL_OK;
 }
@@ -210,15 +190,15 @@ quell_status ql_file_write(ql_file *file, const void *data, size_t num_bytes, ui
 {
     const uint8_t *from = data;
     while (num_bytes > 0) {
-        const ssize_t put = pwrite(file->descriptor, from, num_bytes, (off_t)offset);
-        if (put < 0 && errno == EINTR) continue;
-        if (put <= 0) {
+        size_t put;
+        const int error = ql_os_write(file->handle, from, num_bytes, offset, &put);
+        if (error || put == 0) {
             return ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path,
-                           reason_of(put == 0 ? ENOSPC : errno));
+                           ql_os_reason(error ? error : ENOSPC));
         }
         from += put;
-        num_bytes -= (size_t)put;
-        offset += (uint64_t)put;
+        num_bytes -= put;
+        offset += put;
         if (offset > file->size_bytes) file->size_bytes = offset;
     }
     return QUELL_OK;
@@ -227,38 +207,24 @@ quell_status ql_file_write(ql_file *file, const void *data, size_t num_bytes, ui
 void ql_file_discard(ql_file *file)
 {
     if (!file) return;
-    if (file->descriptor >= 0) close(file->descriptor);
-    if (file->temporary) unlink(file->temporary);
+    if (file->handle != QL_OS_NO_FILE) ql_os_close(file->handle);
+    if (file->temporary) ql_os_remove(file->temporary);
     free_file(file);
-}
-
-/* The rename itself must survive a crash. Some file systems cannot sync folders: the file is complete all the same. */
-static void sync_folder(const char *target)
-{
-    char folder[4096];
-    const size_t length = folder_length(target);
-    if (length >= sizeof folder) return;
-    memcpy(folder, target, length);
-    folder[length] = '\0';
-    const int descriptor = open(length ? folder : ".", O_RDONLY | O_CLOEXEC);
-    if (descriptor < 0) return;
-    fsync(descriptor);
-    close(descriptor);
 }
 
 quell_status ql_file_commit(ql_file *file, ql_error *err)
 {
-    int error = fsync(file->descriptor) != 0 ? errno : 0;
-    if (close(file->descriptor) != 0 && !error) error = errno; /* quota and network errors show here */
-    file->descriptor = -1;
-    if (!error && rename(file->temporary, file->target) != 0) error = errno;
+    int error = ql_os_sync(file->handle);
+    const int close_error = ql_os_close(file->handle); /* quota and network errors show here */
+    if (!error) error = close_error;
+    file->handle = QL_OS_NO_FILE;
+    if (!error) error = ql_os_replace(file->temporary, file->target);
     if (error) {
         const quell_status status =
-            ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path, reason_of(error));
+            ql_fail(err, QUELL_ERR_FILE_WRITE, "%s: cannot be written: %s", file->path, ql_os_reason(error));
         ql_file_discard(file);
         return status;
     }
-    sync_folder(file->target);
     free_file(file);
     return QUELL_OK;
 }

@@ -33,7 +33,7 @@ void ql_make_flags(const ql_feature_setup *setup, float flags[QL_NUM_FLAGS])
     flags[1] = (float)setup->has_albedo;
     flags[2] = (float)setup->has_normal;
     flags[3] = (float)setup->has_depth;
-    flags[4] = setup->samples ? log2f((float)setup->samples) / 8.0f : 0.0f;
+    flags[4] = setup->samples ? (float)log2((double)setup->samples) / 8.0f : 0.0f;
     flags[5] = setup->samples ? 1.0f : 0.0f;
 }
 

@@ -2,6 +2,7 @@
 /* Opens models by name, by path or from memory. */
 #include "models/model.h"
 
+#include "base/os.h"
 #include "models/builtin.h"
 
 #include <errno.h>
@@ -62,7 +63,7 @@ quell_status ql_model_open_memory(const void *data, size_t size_bytes, const cha
 
 static quell_status read_file(const char *path, ql_memory *memory, uint8_t **data, size_t *size_bytes, ql_error *err)
 {
-    FILE *const file = fopen(path, "rb");
+    FILE *const file = ql_os_fopen(path, "rb");
     if (file == NULL)
         return ql_fail(err, QUELL_ERR_FILE_NOT_FOUND,
                        "%s: no built-in model of that name, and no such weight file (%s)", path, strerror(errno));

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "base/clock.h"
 #include "base/cpu.h"
+#include "base/os.h"
 #include "base/pool.h"
 
 #include "cmocka_all.h"
@@ -150,7 +151,7 @@ static void probe_is_consistent(void **state)
     const uint32_t cpu = ql_cpu_probe();
     if (cpu & QL_CPU_AVX512_BF16) assert_true(cpu & QL_CPU_AVX512);
     if (cpu & QL_CPU_AVX512) assert_true(cpu & QL_CPU_AVX2);
-    assert_true(ql_cpu_num_cores() >= 1);
+    assert_true(ql_os_num_cores() >= 1);
 }
 
 static void errors_are_one_valid_line(void **state)
