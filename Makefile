@@ -3,7 +3,7 @@
 #
 #   make                 the library and the tool, optimised             make V=1      shows commands
 #   make DEBUG=1         the same with -O0 and assertions                make help     lists the targets
-#   make SAN=address,undefined                                           make ARCH=aarch64 build/...: cross build
+#   make SAN=address,undefined                                           make windows, make linux-arm64: cross builds
 #
 # CC CXX CFLAGS CXXFLAGS LDFLAGS PREFIX DESTDIR are respected. Recipes run from this folder: weight files are found
 # relative to it. The Makefile is not recursive; it calls itself only to build another configuration.
@@ -15,18 +15,27 @@ MAKEFLAGS += --no-builtin-rules
 
 # ---- Configuration ----------------------------------------------------------------------------------------------------
 
-HOST_ARCH := $(shell uname -m)
-ARCH ?= $(HOST_ARCH)
-ifneq ($(ARCH),$(HOST_ARCH))
+# PLATFORM: linux, darwin or windows. Cross builds are windows by mingw-w64, and linux with another ARCH.
+HOST_ARCH := $(patsubst arm64,aarch64,$(shell uname -m))
+PLATFORM ?= $(if $(filter Darwin,$(shell uname -s)),darwin,linux)
+ARCH ?= $(if $(filter windows,$(PLATFORM)),x86_64,$(HOST_ARCH))
+ifeq ($(PLATFORM),windows)
+CROSS := x86_64-w64-mingw32-
+CROSS_NAME := windows
+THREADS := -posix
+RUN_TEST := scripts/wine.sh
+EXE := .exe
+else ifneq ($(ARCH),$(HOST_ARCH))
 CROSS := $(ARCH)-linux-gnu-
-CONFIG_ARCH := $(ARCH)-
+CROSS_NAME := $(ARCH)
 RUN_TEST := qemu-$(ARCH) -L /usr/$(ARCH)-linux-gnu
 endif
+CONFIG_ARCH := $(if $(CROSS),$(CROSS_NAME)-)
 ifeq ($(origin CC),default)
-CC := $(CROSS)gcc
+CC := $(CROSS)gcc$(THREADS)
 endif
 ifeq ($(origin CXX),default)
-CXX := $(CROSS)g++
+CXX := $(CROSS)g++$(THREADS)
 endif
 ifeq ($(origin AR),default)
 AR := $(CROSS)ar
@@ -77,11 +86,23 @@ endif
 # ---- Flags ------------------------------------------------------------------------------------------------------------
 
 WARN := -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wundef -Wvla -Wwrite-strings -Wformat=2
-WARN_C := $(WARN) -Wstrict-prototypes -Wmissing-prototypes
+WARN_C = $(WARN) -Wstrict-prototypes -Wmissing-prototypes
 # Contraction of a * b + c would make results depend on the compiler: kernels ask for it by name where they want it.
-COMMON := $(OPTIMISE) -fPIC -fvisibility=hidden -ffp-contract=off -fno-math-errno -ffile-prefix-map=$(CURDIR)=. -MMD -MP
+MACHINE := -fPIC
 DEFINES := -D_POSIX_C_SOURCE=200809L -DQUELL_BUILDING -DQL_WEIGHTS_DIR=\"weights\"
+ifeq ($(PLATFORM),windows)
+# Windows aligns stacks to 16 bytes, and GCC does not align them further there (its bug 54412): the assembler's
+# unaligned moves keep wide vectors that are spilled from faulting.
+MACHINE := -Wa,-muse-unaligned-vector-move
+# Windows 7's interface, and C's own printf instead of Microsoft's.
+DEFINES += -D_WIN32_WINNT=0x0601 -D__USE_MINGW_ANSI_STDIO=1
+# The compiler checks formats for Microsoft's printf all the same, and its isfinite converts.
+WARN += -Wno-format -Wno-float-conversion
+endif
+COMMON := $(OPTIMISE) $(MACHINE) -fvisibility=hidden -ffp-contract=off -fno-math-errno -ffile-prefix-map=$(CURDIR)=. -MMD -MP
 C_FLAGS = -std=c11 $(WARN_C) $(COMMON) $(DEFINES) -Iinclude -Isrc $(CPPFLAGS) $(CFLAGS)
+# The tool is a program like any other: on Windows it imports what the library exports.
+user_flag = $(if $(filter src/cli/%,$(1)),-UQUELL_BUILDING)
 CXX_FLAGS = -std=c++17 $(WARN) $(COMMON) -Iinclude -Isrc $(CPPFLAGS) $(CXXFLAGS)
 
 # One table of instruction sets: suffix of the source file -> flags, and the machine it is for.
@@ -99,46 +120,81 @@ other_isas := $(foreach isa,$(ISAS),$(if $(filter $(ARCH),$(ISA_ARCH_$(isa))),,$
 
 # ---- Sources ----------------------------------------------------------------------------------------------------------
 
+# Files that end in _posix.c or _windows.c are for those systems alone.
+SYSTEM := $(if $(filter windows,$(PLATFORM)),windows,posix)
+other_system := $(if $(filter windows,$(PLATFORM)),posix,windows)
+
 LIB_FOLDERS := base kernels frame exr nn models filter plan denoise metrics api
-ifneq ($(CROSS),)
-# OpenEXR is not cross built: the kernels, and what stands on them alone, are what the cross tests are about.
-LIB_FOLDERS := base kernels frame nn models filter metrics
-endif
 LIB_SOURCES := $(foreach folder,$(LIB_FOLDERS),$(wildcard src/$(folder)/*.c))
-LIB_SOURCES := $(filter-out $(foreach isa,$(other_isas),%_$(isa).c),$(LIB_SOURCES))
+LIB_SOURCES := $(filter-out $(foreach isa,$(other_isas),%_$(isa).c) %_$(other_system).c,$(LIB_SOURCES))
 LIB_OBJECTS := $(LIB_SOURCES:%.c=$(OBJ)/%.o)
-CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/cli/*.c))
+CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(filter-out %_$(other_system).c,$(wildcard src/cli/*.c)))
 OIIO_OBJECTS := $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
 WEIGHTS := $(wildcard weights/*.qwt)
 
 STATIC_LIB := $(OUT)/lib/libquell.a
+ifeq ($(PLATFORM),windows)
+SHARED_LIB := $(OUT)/bin/quell.dll
+IMPORT_LIB := $(OUT)/lib/libquell.dll.a
+else ifeq ($(PLATFORM),darwin)
+SHARED_LIB := $(OUT)/lib/libquell.$(VERSION).dylib
+SONAME := libquell.$(VERSION_MAJOR).dylib
+DEVNAME := libquell.dylib
+else
 SHARED_LIB := $(OUT)/lib/libquell.so.$(VERSION)
 SONAME := libquell.so.$(VERSION_MAJOR)
-CLI := $(OUT)/bin/quell
+DEVNAME := libquell.so
+endif
+CLI := $(OUT)/bin/quell$(EXE)
 OIIO_MODULE := $(OUT)/lib/quell/quell_oiio.so
 
 # tests/<folder>/test_*.c are programs; other .c files of the folder are linked into each of them.
 TEST_SOURCES := $(sort $(wildcard tests/*/test_*.c))
-ifneq ($(CROSS),)
-TEST_SOURCES := $(filter tests/kernels/%,$(TEST_SOURCES))
-endif
-TESTS := $(TEST_SOURCES:tests/%.c=$(OUT)/tests/%)
-test_helpers = $(patsubst %.c,$(OBJ)/%.o,$(filter-out $(wildcard $(dir $(1))test_*.c),$(wildcard $(dir $(1))*.c)))
+TESTS := $(TEST_SOURCES:tests/%.c=$(OUT)/tests/%$(EXE))
+test_helpers = $(patsubst %.c,$(OBJ)/%.o,$(filter-out $(wildcard $(dir $(1))test_*.c),$(wildcard $(dir $(1))*.c))) \
+	$(OBJ)/tests/system_$(SYSTEM).o
 
 BENCH_SOURCES := $(wildcard bench/*.c)
 BENCHES := $(BENCH_SOURCES:bench/%.c=$(OUT)/bench/%)
 
-# ---- OpenEXR ----------------------------------------------------------------------------------------------------------
+# ---- Libraries from elsewhere -----------------------------------------------------------------------------------------
 
-OPENEXR := $(BUILD)/third_party/openexr
-ifeq ($(CROSS),)
+# OpenEXR is always built here. cJSON and cmocka are the system's, but in cross builds, which have no such system.
+FOREIGN := $(BUILD)/third_party
+OPENEXR := $(FOREIGN)/openexr$(CROSS_NAME:%=-%)
 OPENEXR_STAMP := $(OPENEXR)/stamp
-OPENEXR_LINK = $$(cat $(OPENEXR)/link.flags)
+ifneq ($(CROSS),)
+TOOLCHAIN := $(CURDIR)/scripts/cmake/$(PLATFORM)-$(ARCH).cmake
+CJSON := $(FOREIGN)/cjson-$(CROSS_NAME)
+CJSON_STAMP := $(CJSON)/stamp
+CJSON_FLAGS := -isystem $(CJSON)/include/cjson -DCJSON_HIDE_SYMBOLS
+CJSON_LINK := $(CJSON)/lib/libcjson.a
+CMOCKA := $(FOREIGN)/cmocka-$(CROSS_NAME)
+CMOCKA_STAMP := $(CMOCKA)/stamp
+CMOCKA_FLAGS := -isystem $(CMOCKA)/include
+CMOCKA_LINK := $(CMOCKA)/lib/libcmocka-static.a
+else
+CJSON_FLAGS = $(patsubst -I%,-isystem %,$(shell pkg-config --cflags libcjson))
+CJSON_LINK = $$(pkg-config --libs libcjson)
+CMOCKA_LINK := -lcmocka
+endif
+
+# What OpenEXR and the library itself need of the system. Only on Linux is the C++ run-time library a matter of ours:
+# on Windows all is static, on macOS it is a part of the system.
+ifeq ($(PLATFORM),linux)
+LIB_LINK = $$(cat $(OPENEXR)/link.flags) -lm -pthread
+else
+LIB_LINK = $(OPENEXR)/lib/libOpenEXRCore-3_5.a $(if $(filter windows,$(PLATFORM)),-static -lstdc++,-lc++) -lm -pthread
 endif
 
 $(OPENEXR)/stamp: scripts/build_openexr.sh
 	$(call say,DEPS,OpenEXRCore)
-	$(Q)env -u MAKEFLAGS -u CFLAGS -u CXXFLAGS scripts/build_openexr.sh $(OPENEXR)
+	$(Q)env -u MAKEFLAGS -u CFLAGS -u CXXFLAGS $(TOOLCHAIN:%=CMAKE_TOOLCHAIN_FILE=%) scripts/build_openexr.sh $(OPENEXR)
+	@touch $@
+
+$(FOREIGN)/%-$(CROSS_NAME)/stamp: scripts/build_debian_source.sh
+	$(call say,DEPS,$*)
+	$(Q)env -u MAKEFLAGS -u CFLAGS CMAKE_TOOLCHAIN_FILE=$(TOOLCHAIN) scripts/build_debian_source.sh $* $(@D)
 	@touch $@
 
 # ---- Compile ----------------------------------------------------------------------------------------------------------
@@ -152,7 +208,7 @@ $(OBJ)/flags: FORCE
 $(OBJ)/%.o: %.c $(OBJ)/flags
 	$(call say,CC,$<)
 	@mkdir -p $(@D)
-	$(Q)$(CC) $(C_FLAGS) $(call isa_flags,$<) $(EXTRA_FLAGS) -c $< -o $@
+	$(Q)$(CC) $(C_FLAGS) $(call user_flag,$<) $(call isa_flags,$<) $(EXTRA_FLAGS) -c $< -o $@
 
 $(OBJ)/%.o: %.cpp $(OBJ)/flags
 	$(call say,CXX,$<)
@@ -166,11 +222,12 @@ $(OBJ)/src/models/builtin.o: $(WEIGHTS)
 openexr_version = $(shell sed -n 's/^\#define OPENEXR_VERSION_STRING //p' $(OPENEXR)/include/OpenEXR/OpenEXRConfig.h)
 $(OBJ)/src/cli/main.o: EXTRA_FLAGS = -DCLI_OPENEXR_VERSION='$(openexr_version)'
 $(OBJ)/src/cli/main.o: | $(OPENEXR_STAMP)
-$(addprefix $(OBJ)/src/cli/,bench.o json.o denoise.o inspect.o compare.o): EXTRA_FLAGS = \
-	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags libcjson))
+$(addprefix $(OBJ)/src/cli/,bench.o json.o denoise.o inspect.o compare.o): EXTRA_FLAGS = $(CJSON_FLAGS)
+$(CLI_OBJECTS): | $(CJSON_STAMP)
 $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp)): EXTRA_FLAGS = \
 	$(patsubst -I%,-isystem %,$(shell pkg-config --cflags OpenImageIO)) -isystem /usr/include/Imath
-$(OBJ)/tests/%.o: EXTRA_FLAGS := -Itests -isystem $(OPENEXR)/include -UNDEBUG
+$(OBJ)/tests/%.o: EXTRA_FLAGS := -Itests -isystem $(OPENEXR)/include $(CMOCKA_FLAGS) -UNDEBUG
+$(patsubst %.c,$(OBJ)/%.o,$(filter-out tests/kernels/%,$(TEST_SOURCES))): | $(CMOCKA_STAMP)
 $(OBJ)/bench/%.o: EXTRA_FLAGS := -Ibench
 
 -include $(shell test -d $(OBJ) && find $(OBJ) -name '*.d')
@@ -182,20 +239,32 @@ $(STATIC_LIB): $(LIB_OBJECTS)
 	@mkdir -p $(@D)
 	$(Q)rm -f $@ && $(AR) rcsD $@ $(LIB_OBJECTS)
 
+# The public names alone leave the library: by the list on Linux and macOS, by QUELL_API's dllexport on Windows.
+ifeq ($(PLATFORM),windows)
+SHARED_FLAGS := -Wl,--no-insert-timestamp -Wl,--out-implib,$(IMPORT_LIB) -Wl,--output-def,$(OUT)/lib/quell.def
+CLI_LINK := -municode -static -Wl,--no-insert-timestamp $(IMPORT_LIB)
+else ifeq ($(PLATFORM),darwin)
+SHARED_FLAGS := -Wl,-install_name,@rpath/$(SONAME) -Wl,-exported_symbol,_quell_*
+CLI_LINK := -L$(OUT)/lib -lquell -Wl,-rpath,@loader_path/../lib
+else
+SHARED_FLAGS := -Wl,-soname,$(SONAME) -Wl,--version-script=src/libquell.map -Wl,-z,defs -Wl,-z,relro -Wl,-z,now \
+	-Wl,-z,noexecstack
+CLI_LINK := -L$(OUT)/lib -lquell -Wl,-rpath,'$$ORIGIN/../lib' -ldl
+endif
+
 $(SHARED_LIB): $(LIB_OBJECTS) src/libquell.map $(OPENEXR_STAMP)
 	$(call say,LINK,$@)
-	@mkdir -p $(@D)
-	$(Q)$(CC) -shared -o $@ $(LIB_OBJECTS) $(LINK_SAN) $(LDFLAGS) -Wl,-soname,$(SONAME) \
-		-Wl,--version-script=src/libquell.map -Wl,-z,defs -Wl,-z,relro -Wl,-z,now -Wl,-z,noexecstack \
-		$(OPENEXR_LINK) -lm -pthread
-	$(Q)ln -sf $(notdir $@) $(@D)/$(SONAME) && ln -sf $(SONAME) $(@D)/libquell.so
+	@mkdir -p $(@D) $(OUT)/lib
+	$(Q)$(CC) -shared -o $@ $(LIB_OBJECTS) $(LINK_SAN) $(LDFLAGS) $(SHARED_FLAGS) $(LIB_LINK)
+ifneq ($(PLATFORM),windows)
+	$(Q)ln -sf $(notdir $@) $(@D)/$(SONAME) && ln -sf $(SONAME) $(@D)/$(DEVNAME)
+endif
 
 # The tool uses the public interface alone: it links against the shared library like any other program.
 $(CLI): $(CLI_OBJECTS) $(SHARED_LIB)
 	$(call say,LINK,$@)
 	@mkdir -p $(@D)
-	$(Q)$(CC) -o $@ $(CLI_OBJECTS) $(LINK_SAN) $(LDFLAGS) -L$(OUT)/lib -lquell \
-		-Wl,-rpath,'$$ORIGIN/../lib' $$(pkg-config --libs libcjson) -ldl -lm -pthread
+	$(Q)$(CC) -o $@ $(CLI_OBJECTS) $(LINK_SAN) $(LDFLAGS) $(CLI_LINK) $(CJSON_LINK) -lm -pthread
 
 # OpenImageIO is loaded only when a picture is written: see src/cli/image_oiio.h.
 $(OIIO_MODULE): $(OIIO_OBJECTS)
@@ -204,16 +273,22 @@ $(OIIO_MODULE): $(OIIO_OBJECTS)
 	$(Q)$(CXX) -shared -o $@ $(OIIO_OBJECTS) $(LINK_SAN) $(LDFLAGS) -Wl,-z,defs $$(pkg-config --libs OpenImageIO)
 
 .SECONDEXPANSION:
-$(OUT)/tests/%: $(OBJ)/tests/%.o $$(call test_helpers,tests/%.c) $(STATIC_LIB) $(OPENEXR_STAMP)
+# The kernels stand on src/base alone, so that cross builds test them without the rest.
+KERNEL_OBJECTS := $(filter $(OBJ)/src/base/% $(OBJ)/src/kernels/%,$(LIB_OBJECTS))
+$(OUT)/tests/kernels/%$(EXE): $(OBJ)/tests/kernels/%.o $$(call test_helpers,tests/kernels/%.c) $(KERNEL_OBJECTS)
 	$(call say,LINK,$@)
 	@mkdir -p $(@D)
-	$(Q)$(CC) -o $@ $(filter %.o,$^) $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(OPENEXR_LINK) \
-		$(if $(CROSS),,-lcmocka) -lm -pthread
+	$(Q)$(CC) -o $@ $^ $(LINK_SAN) $(LDFLAGS) $(if $(filter windows,$(PLATFORM)),-static) -lm -pthread
+
+$(OUT)/tests/%$(EXE): $(OBJ)/tests/%.o $$(call test_helpers,tests/%.c) $(STATIC_LIB) $(OPENEXR_STAMP)
+	$(call say,LINK,$@)
+	@mkdir -p $(@D)
+	$(Q)$(CC) -o $@ $(filter %.o,$^) $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(LIB_LINK) $(CMOCKA_LINK)
 
 $(OUT)/bench/%: $(OBJ)/bench/%.o $(STATIC_LIB) $(OPENEXR_STAMP)
 	$(call say,LINK,$@)
 	@mkdir -p $(@D)
-	$(Q)$(CC) -o $@ $< $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(OPENEXR_LINK) -lm -pthread
+	$(Q)$(CC) -o $@ $< $(STATIC_LIB) $(LINK_SAN) $(LDFLAGS) $(LIB_LINK)
 
 # ---- Python environment -----------------------------------------------------------------------------------------------
 
@@ -255,7 +330,7 @@ all: lib cli
 lib: $(SHARED_LIB) $(STATIC_LIB)
 
 ## cli: the quell tool
-cli: $(CLI) $(OIIO_MODULE)
+cli: $(CLI) $(if $(CROSS),,$(OIIO_MODULE))
 
 ## wheel: the Python package with the library inside, build/<config>/wheel/*.whl
 wheel: $(WHEEL)/stamp
@@ -267,13 +342,12 @@ addon: $(ADDON)/stamp
 c-tests: $(TESTS)
 
 ## check: the quick tests, all in C, and the warnings of every source as errors (under a minute once built)
-check: syntax $(TESTS)
-	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
+check: syntax run-c-tests
 
 ## test: install what tests need, build, and run every test
 test: deps-test
 	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) wheel $(VENV)/stamp-test
-	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender --ignore=tests/cross $(PYTEST_FLAGS)
 
 ## test-blender: the add-on in Debian's Blender and in a few modules from PyPI (1 GB each, into build/blender)
 test-blender: BLENDERS ?= 4.2 5.0 5.2
@@ -306,7 +380,33 @@ tsan:
 qemu:
 	$(Q)+$(SUBMAKE) ARCH=aarch64 cross-check
 
-cross-check: $(TESTS)
+KERNEL_TESTS := $(filter $(OUT)/tests/kernels/%,$(TESTS))
+cross-check: $(KERNEL_TESTS)
+	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(KERNEL_TESTS)
+
+## windows: cross build quell.exe and quell.dll with mingw-w64, into build/windows-release
+windows: deps-windows
+	$(Q)+$(SUBMAKE) PLATFORM=windows all
+
+## linux-arm64: cross build the library and the tool for 64-bit ARM, into build/aarch64-release
+linux-arm64: deps-arm64
+	$(Q)+$(SUBMAKE) ARCH=aarch64 all
+
+## test-windows: the C tests, the tool's and the samples on the Windows build, under Wine; samples bit-equal to Linux
+test-windows: deps-test deps-windows
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) PLATFORM=windows all c-tests
+	$(Q)+$(MAKE) --no-print-directory PLATFORM=windows run-c-tests
+	$(Q)$(PYTHON) -m pytest tests/cross/test_windows.py $(PYTEST_FLAGS)
+
+## test-arm64: the C tests and a sample on the ARM build, under qemu; the sample bit-equal to this machine's C kernels
+test-arm64: deps-test deps-arm64
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) ARCH=aarch64 all c-tests
+	$(Q)+$(MAKE) --no-print-directory ARCH=aarch64 run-c-tests
+	$(Q)$(PYTHON) -m pytest tests/cross/test_arm64.py $(PYTEST_FLAGS)
+
+run-c-tests: $(TESTS)
 	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
 
 ## demo: install what is needed, build, denoise the samples and compare them with their references
@@ -326,8 +426,8 @@ bench-peers bench-quick: deps-bench
 	$(Q)$(PYTHON) bench/peers.py --build $(OUT) $(if $(BENCH_OUT),--quick --results $(BENCH_OUT)/results) $(BENCH_FLAGS)
 	$(Q)$(PYTHON) bench/report.py $(if $(BENCH_OUT),--results $(BENCH_OUT)/results --out $(BENCH_OUT)/docs)
 
-## deps-demo deps-test deps-bench deps-blender: only install what those targets need
-deps-demo deps-test deps-bench deps-blender: deps-%:
+## deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: only install what those targets need
+deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: deps-%:
 	$(Q)scripts/install_deps.sh $*
 
 ## install: library, header, pkg-config file and tool under $(DESTDIR)$(PREFIX)
@@ -385,7 +485,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: all lib cli wheel addon c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
+.PHONY: all lib cli wheel addon c-tests run-c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
-	clean distclean help FORCE
+	clean distclean windows linux-arm64 test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:

@@ -1,6 +1,6 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
-# install_deps.sh [build|demo|test|bench|blender] - installs the Debian packages that a target needs.
+# install_deps.sh [build|demo|test|bench|blender|windows|arm64] - installs the Debian packages that a target needs.
 #
 # Does nothing when all are there. As root, or where sudo asks for no password, it runs apt-get; otherwise it prints the
 # command and exits with 1. Python packages do not come from here: the Makefile puts them into build/venv.
@@ -14,8 +14,10 @@ demo | bench) packages="$packages openimageio-tools" ;;
 test) packages="$packages openimageio-tools libcmocka-dev valgrind gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
 # The window tests draw in software on a screen that is not there. Debian's OpenEXR is the other one in the process.
 blender) packages="$packages blender python3-numpy libopenexr-3-1-30 xvfb libgl1-mesa-dri xdotool" ;;
+windows) packages="$packages g++-mingw-w64-x86-64-posix wine64" ;;
+arm64) packages="$packages g++-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
 *)
-    echo "usage: install_deps.sh [build|demo|test|bench|blender]" >&2
+    echo "usage: install_deps.sh [build|demo|test|bench|blender|windows|arm64]" >&2
     exit 2
     ;;
 esac

@@ -122,6 +122,8 @@ static void restore_console(void)
     SetConsoleOutputCP(output_code_page);
 }
 
+int wmain(int argc, wchar_t **wide_argv); /* the C run-time calls it, and no header declares it */
+
 int wmain(int argc, wchar_t **wide_argv)
 {
     output_code_page = GetConsoleOutputCP();

@@ -5,6 +5,7 @@
 #include "cli/image_oiio.h"
 #include "cli/layers.h"
 #include "cli/paths.h"
+#include "cli/platform.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -10,7 +10,7 @@
 #define SECTION ".const_data\n"
 #define SYMBOL(name) "_" name
 #elif defined(_WIN32)
-#define SECTION ".section .rdata\n"
+#define SECTION ".section .rdata,\"dr\"\n"
 #define SYMBOL(name) name
 #else
 #define SECTION ".section .rodata\n"

@@ -6,17 +6,15 @@
  *
  * QUELL_SEED=N repeats a run; --bench prints ns per pixel.
  */
-#define _DEFAULT_SOURCE
 #include "base/clock.h"
 #include "base/cpu.h"
 #include "kernels/kernels.h"
+#include "system.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <unistd.h>
 
 enum { MAX_BLOCKS = 64, ROUNDS = 60 };
 
@@ -24,7 +22,7 @@ static uint64_t seed_state = 1;
 static unsigned num_checks, num_failures;
 
 static struct {
-    void *base;
+    void *data;
     size_t bytes;
 } blocks[MAX_BLOCKS];
 static size_t num_blocks;
@@ -50,19 +48,15 @@ static float random_float(float low, float high)
 /* num floats whose last one is followed by a forbidden page; freed by release_all. */
 static float *guarded(size_t num)
 {
-    const size_t page = (size_t)sysconf(_SC_PAGESIZE);
-    const size_t bytes = num * sizeof(float), pages = (bytes + page - 1) / page + 1;
-    char *const base = mmap(NULL, (pages + 1) * page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-    if (base == MAP_FAILED || num_blocks == MAX_BLOCKS) abort();
-    if (mprotect(base + pages * page, page, PROT_NONE) != 0) abort();
-    blocks[num_blocks].base = base;
-    blocks[num_blocks++].bytes = (pages + 1) * page;
-    return (float *)(void *)(base + pages * page - bytes);
+    if (num_blocks == MAX_BLOCKS) abort();
+    blocks[num_blocks].bytes = num * sizeof(float);
+    blocks[num_blocks].data = test_alloc_guarded(num * sizeof(float));
+    return blocks[num_blocks++].data;
 }
 
 static void release_all(void)
 {
-    for (size_t i = 0; i < num_blocks; ++i) munmap(blocks[i].base, blocks[i].bytes);
+    for (size_t i = 0; i < num_blocks; ++i) test_free_guarded(blocks[i].data, blocks[i].bytes);
     num_blocks = 0;
 }
 

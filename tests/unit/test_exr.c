@@ -5,6 +5,7 @@
 #include "base/pool.h"
 #include "cmocka_all.h"
 #include "exr/exr.h"
+#include "system.h"
 
 #include <dirent.h>
 #include <math.h>
@@ -19,8 +20,8 @@ typedef struct fixture {
     ql_memory memory;
     ql_env env;
     atomic_int cancel;
-    char folder[64];
-    char out[96];
+    char folder[512];
+    char out[544];
     char log[2048];
     ql_error error;
 } fixture;
@@ -42,8 +43,7 @@ static int set_up(void **state)
     fix->env = (ql_env){.memory = &fix->memory, .cancel = &fix->cancel, .progress_to = 1.0, .log = log_line};
     fix->env.log_user = fix;
     if (ql_pool_create(2, &fix->memory, &fix->env.pool, NULL) != QUELL_OK) return -1;
-    strcpy(fix->folder, "/tmp/quell-test-XXXXXX");
-    if (!mkdtemp(fix->folder)) return -1;
+    if (test_make_folder(fix->folder, sizeof fix->folder) != 0) return -1;
     snprintf(fix->out, sizeof fix->out, "%s/out.exr", fix->folder);
     *state = fix;
     return 0;
