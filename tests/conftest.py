@@ -18,14 +18,26 @@ def build_folder() -> Path:
     return ROOT / os.environ.get("QUELL_BUILD", "build/release")
 
 
-class Quell:
-    """The tool. Calling it runs it; ok() insists on success."""
+def emulator_of(build: Path) -> list[str]:
+    """What runs the programs of a build for another machine: Wine or qemu. Nothing for this machine's own."""
+    if build.name.startswith("windows-"):
+        return [str(ROOT / "scripts" / "wine.sh")]
+    if build.name.startswith("aarch64-"):
+        return ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"]
+    return []
 
-    def __init__(self, program: Path) -> None:
-        self.program = program
+
+class Quell:
+    """The tool of a build. Calling it runs it; ok() insists on success."""
+
+    def __init__(self, build: Path) -> None:
+        self.emulator = emulator_of(build)
+        self.is_windows = build.name.startswith("windows-")
+        self.program = build / "bin" / ("quell.exe" if self.is_windows else "quell")
+        assert self.program.exists(), f"{self.program} is missing: run make"
 
     def __call__(self, *args: object, timeout: float = 120, **keywords: object) -> subprocess.CompletedProcess[str]:
-        command = [str(self.program), *map(str, args)]
+        command = [*self.emulator, str(self.program), *map(str, args)]
         return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, **keywords)
 
     def ok(self, *args: object, **keywords: object) -> subprocess.CompletedProcess[str]:
@@ -59,9 +71,7 @@ def data() -> Path:
 
 @pytest.fixture(scope="session")
 def quell() -> Quell:
-    program = build_folder() / "bin" / "quell"
-    assert program.exists(), f"{program} is missing: run make"
-    return Quell(program)
+    return Quell(build_folder())
 
 
 def write_exr(path: Path, layers: dict[str, np.ndarray]) -> Path:

@@ -58,8 +58,7 @@ static quell_status read_options(const quell_context_options *given, quell_conte
 static quell_status create_pool(quell_context *ctx, uint32_t num_threads, ql_error *err)
 {
     fenv_t before;
-    fegetenv(&before);
-    fesetenv(FE_DFL_ENV);
+    ql_os_set_default_fp_mode(&before);
     const quell_status status = ql_pool_create(num_threads, &ctx->pool_memory, &ctx->pool, err);
     fesetenv(&before);
     return status;
@@ -149,8 +148,7 @@ quell_status ql_call_begin(quell_context *ctx, ql_call *call)
                 .log_user = ctx->log_user},
     };
     atomic_store(&ctx->memory.peak_bytes, atomic_load(&ctx->memory.used_bytes));
-    fegetenv(&call->fp_mode);
-    fesetenv(FE_DFL_ENV);
+    ql_os_set_default_fp_mode(&call->fp_mode);
     return QUELL_OK;
 }
 

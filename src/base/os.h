@@ -6,6 +6,7 @@
 #ifndef QL_BASE_OS_H
 #define QL_BASE_OS_H
 
+#include <fenv.h>
 #include <pthread.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -68,5 +69,8 @@ void ql_os_free_aligned(void *pointer);
 
 /* pthread_create for a thread that takes no signals: they belong to the host program's own. */
 int ql_os_start_thread(pthread_t *thread, void *(*run)(void *), void *argument);
+
+/* Sets this thread's default floating-point mode: to nearest, denormals kept, no traps. *before is for fesetenv. */
+void ql_os_set_default_fp_mode(fenv_t *before);
 
 #endif

@@ -187,3 +187,9 @@ int ql_os_start_thread(pthread_t *thread, void *(*run)(void *), void *argument)
     pthread_sigmask(SIG_SETMASK, &before, NULL);
     return error;
 }
+
+void ql_os_set_default_fp_mode(fenv_t *before)
+{
+    fegetenv(before);
+    fesetenv(FE_DFL_ENV);
+}

@@ -12,7 +12,7 @@
 /* A single transfer's length is a DWORD. */
 #define MAX_TRANSFER ((size_t)1 << 30)
 
-/* Names from here on need the prefix that lifts Windows' limit (MAX_PATH less room for an 8.3 file name). */
+/* Names from here on need the prefix that lifts Windows' limit (MAX_PATH less room for a suffix). */
 #define MAX_PLAIN_NAME 248
 
 static int errno_of(DWORD error)
@@ -224,6 +224,30 @@ void ql_os_set_permissions(ql_os_file file, uint32_t permissions)
     (void)permissions;
 }
 
+/* A file that somebody reads, maybe this very process, cannot be moved onto. But it may be moved away, and go when the
+ * last reader closes it. Between the two moves the name is free for a moment: Windows has nothing better before 10. */
+static int exchange(const wchar_t *from, const wchar_t *to)
+{
+    static const wchar_t suffix[] = L".quell-old";
+    const size_t length = wcslen(to);
+    wchar_t *old = malloc((length + sizeof suffix / sizeof *suffix) * sizeof *old);
+    if (!old) return ENOMEM;
+    memcpy(old, to, length * sizeof *old);
+    memcpy(old + length, suffix, sizeof suffix);
+
+    int error = MoveFileExW(to, old, MOVEFILE_REPLACE_EXISTING) ? 0 : last_errno();
+    if (!error) {
+        if (!MoveFileExW(from, to, MOVEFILE_WRITE_THROUGH)) error = last_errno();
+        if (error) {
+            MoveFileExW(old, to, 0);
+        } else {
+            DeleteFileW(old);
+        }
+    }
+    free(old);
+    return error;
+}
+
 int ql_os_replace(const char *from, const char *to)
 {
     wchar_t *old_name = name_of(from);
@@ -231,8 +255,7 @@ int ql_os_replace(const char *from, const char *to)
     int error = new_name ? 0 : errno;
     if (!error && !MoveFileExW(old_name, new_name, MOVEFILE_REPLACE_EXISTING | MOVEFILE_WRITE_THROUGH)) {
         error = last_errno();
-        /* A file that somebody reads, maybe this very process, cannot be moved onto, but it can be exchanged. */
-        if ((error == EACCES || error == EBUSY) && ReplaceFileW(new_name, old_name, NULL, 0, NULL, NULL)) error = 0;
+        if (error == EACCES || error == EBUSY) error = exchange(old_name, new_name);
     }
     free(old_name);
     free(new_name);
@@ -314,4 +337,12 @@ void ql_os_free_aligned(void *pointer)
 int ql_os_start_thread(pthread_t *thread, void *(*run)(void *), void *argument)
 {
     return pthread_create(thread, NULL, run, argument);
+}
+
+void ql_os_set_default_fp_mode(fenv_t *before)
+{
+    const unsigned int power_up = 0x1f80; /* Intel SDM volume 1, 10.2.3 */
+    fegetenv(before);
+    fesetenv(FE_DFL_ENV); /* mingw-w64's leaves the vector unit's mode alone */
+    __builtin_ia32_ldmxcsr(power_up);
 }
