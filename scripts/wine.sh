@@ -1,16 +1,24 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # wine.sh PROGRAM.exe [ARGUMENT...] - runs a Windows program under Wine, with settings of its own under build/wine.
-#
-# Wine's server stays for a while after the last program, which spares the next one its start.
 set -eu
 
 root=$(cd "$(dirname "$0")/.." && pwd)
-export WINEPREFIX="$root/build/wine" WINEDEBUG=-all WINEARCH=win64 WINEDLLOVERRIDES="mscoree,mshtml=" WINESERVERTIMEOUT=60
+export WINEPREFIX="$root/build/wine" WINEARCH=win64 WINEDEBUG=-all WINEDLLOVERRIDES="winemenubuilder.exe,mscoree,mshtml="
 unset DISPLAY
 
-for wine in wine64 /usr/lib/wine/wine64 wine; do
-    if command -v "$wine" >/dev/null 2>&1; then exec "$wine" "$@"; fi
-done
-echo "wine.sh: Wine is missing (Debian: apt-get install wine64)" >&2
-exit 127
+find_tool() { # find_tool NAME...: the first that there is, in PATH or in Debian's folder
+    for tool in "$@"; do
+        command -v "$tool" && return
+        if [ -x "/usr/lib/wine/$tool" ]; then echo "/usr/lib/wine/$tool" && return; fi
+    done
+    echo "wine.sh: Wine is missing (Debian: apt-get install wine64)" >&2
+    exit 127
+}
+
+wine=$(find_tool wine64 wine)
+server=$(find_tool wineserver64 wineserver)
+# A server that stays for a minute spares the next program its start. Where one runs already, this does nothing.
+mkdir -p "$WINEPREFIX"
+"$server" -p60 2>/dev/null || true
+exec "$wine" "$@"

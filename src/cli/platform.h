@@ -9,8 +9,8 @@
 /* The tool itself; the platform's main calls it, with wildcards expanded where the shell leaves them to programs. */
 int cli_main(int argc, char **argv);
 
-FILE *cli_fopen(const char *path, const char *mode);           /* errno as fopen sets it */
-int cli_replace_file(const char *from, const char *to);        /* renames; 0 or an errno value */
+FILE *cli_fopen(const char *path, const char *mode);    /* errno as fopen sets it */
+int cli_replace_file(const char *from, const char *to); /* renames; 0 or an errno value */
 void cli_remove_file(const char *path);
 int cli_is_folder(const char *path);
 int cli_is_same_file(const char *a, const char *b); /* whether both names lead to one existing file */

@@ -66,7 +66,8 @@ quell_status ql_file_open(ql_memory *memory, const char *path, ql_file **out, ql
     *out = NULL;
     const int error = ql_os_open(path, &handle);
     if (error) {
-        const quell_status status = error == ENOENT || error == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND : QUELL_ERR_FILE_READ;
+        const quell_status status =
+            error == ENOENT || error == ENOTDIR ? QUELL_ERR_FILE_NOT_FOUND : QUELL_ERR_FILE_READ;
         return ql_fail(err, status, "%s: cannot be opened: %s", path, ql_os_reason(error));
     }
     if (ql_os_file_facts(handle, &facts) != 0 || facts.kind != QL_OS_REGULAR) {
