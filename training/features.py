@@ -17,7 +17,10 @@ from training.data.store import BACKGROUND_DEPTH
 NUM_FEATURES = 32
 NUM_FLAGS = 6
 GUIDE_PLANES = slice(15, 28)  # albedo, normal, depth, alpha, colours: what the embedding starts from
-DETAIL_PLANES = (28, 31)  # direct diffuse light, emission: with the guides and the mean of beauty, what it looks closely at
+DETAIL_PLANES = (
+    28,
+    31,
+)  # direct diffuse light, emission: with the guides and the mean of beauty, what it looks closely at
 BIN = 8  # pixels along the edge of a bin of the log average: one firefly spoils one bin
 KEY_EXPONENT = 2  # the log average is brought to 2^-2, near middle grey
 FIREFLY_FACTOR = 16.0

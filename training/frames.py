@@ -33,6 +33,8 @@ _RESOLUTIONS = ((0, 0), (640, 360), (960, 540), (1280, 720), (1920, 1080))
 EXTRA = "extra"
 _PREVIEW_LONG_SIDE = 208
 _PREVIEW_SPP = 3
+#: Lights that would need to be stronger or weaker by more than this are not where the scene needs them.
+_MOST_GAIN = 100.0
 _REGION_TRIES = 40
 _SHOT_TRIES = 4
 _GRID = 12
@@ -270,7 +272,7 @@ def whole_picture_fault(preview: np.ndarray) -> str:
     if light.max() <= 1e-6:
         return "black"
     # Where most samples find no light at all, an artist would light the scene in another way.
-    if (light[alpha > 0.5] <= 1e-6).mean() > 0.65:
+    if (light[alpha > 0.5] <= 1e-6).mean() > 0.6:
         return "hardly lit"
     return ""
 
@@ -289,7 +291,7 @@ def choose_gain(preview: np.ndarray, brightness: float | None) -> float | None:
         mean = float(np.mean(tone(light * math.exp(middle))))
         low, high = (middle, high) if mean < brightness else (low, middle)
     gain = math.exp((low + high) / 2)
-    if not 1 / 400 < gain < 400:
+    if not 1 / _MOST_GAIN < gain < _MOST_GAIN:
         return None
     # Quantised, so that rounding in the preview cannot make two machines differ.
     return 2.0 ** (round(4 * math.log2(gain)) / 4)

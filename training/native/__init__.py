@@ -18,7 +18,16 @@ from pathlib import Path
 import torch
 
 SOURCE = Path(__file__).with_name("kernel_ops.c")
-FLAGS = ["-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-fopenmp", "-fPIC", "-shared", "-std=gnu11"]
+FLAGS = [
+    "-O3",
+    "-march=native",
+    "-mprefer-vector-width=512",
+    "-ffast-math",
+    "-fopenmp",
+    "-fPIC",
+    "-shared",
+    "-std=gnu11",
+]
 
 
 @functools.cache
@@ -100,9 +109,7 @@ class Partition(torch.autograd.Function):
         values, logits = values.float().contiguous(), logits.float().contiguous()
         n, channels, height, width = values.shape
         out = torch.empty(n, channels, height // 2, width // 2)
-        library().partition_forward(
-            n, channels, height, width, values.data_ptr(), logits.data_ptr(), out.data_ptr()
-        )
+        library().partition_forward(n, channels, height, width, values.data_ptr(), logits.data_ptr(), out.data_ptr())
         ctx.save_for_backward(values, logits)
         return out
 

@@ -33,7 +33,8 @@ def small(limit: float) -> objects.Filter:
 def staircase(stage: Stage) -> ShotMaker:
     """A stair hall: flights of steps with rails, tall windows, a lamp on a long cord."""
     rng = stage.rng
-    room = interiors.make_room(stage, rng.choice((1, 2)), (4.5, 7))
+    pale = mat.diffuse(rng, mat.mix_color(mat.warm_color(rng), (0.82, 0.81, 0.78), 0.8))
+    room = interiors.make_room(stage, rng.choice((2, 3)), (4.5, 7), pale if stage.chance(0.7) else None)
     steps, wide = rng.randint(10, 16), rng.uniform(0.9, 1.4)
     rise, run = rng.uniform(0.15, 0.18), rng.uniform(0.24, 0.3)
     tread, riser = rng.choice((mat.wood, mat.stone))(rng), mat.diffuse(rng, (0.75, 0.74, 0.7))
@@ -56,8 +57,9 @@ def staircase(stage: Stage) -> ShotMaker:
     wire(stage, posts, rng.uniform(0.006, 0.02), rail)
     interiors.hang_pictures(stage, room, 4)
     interiors.furnish(stage, room, rng.randint(1, 4))
+    interiors.dwell(stage, room)
     interiors.daylight(stage, room)
-    if stage.chance(0.7):
+    if stage.chance(0.85):
         interiors.ceiling_lights(stage, room)
     return inside(room.low, room.high, (16, 40))
 
@@ -260,7 +262,7 @@ def bar(stage: Stage) -> ShotMaker:
     objects.box(stage, (-5, -4, 2.2), (5, 2, 2.3), mat.diffuse(rng))
     objects.box(stage, (-5, -4.1, -1), (5, -4, 2.2), interiors.plaster(stage))
     color = lights.random_light_color(rng) if stage.chance(0.5) else mat.blackbody(rng, 2300, 4500)
-    glow = mat.glow(rng, log_uniform(rng, 4, 20), color)
+    glow = mat.glow(rng, log_uniform(rng, 1.5, 6), color)
     shelf = mat.glass(rng, (1, 1, 1), False) if stage.chance(0.6) else mat.wood(rng)
     kinds = [objects.vessel_mesh(rng, rng.uniform(0.2, 0.32)) for _ in range(7)]
     looks = [mat.glass(rng) for _ in range(8)] + [mat.plastic(rng), mat.metal(rng)]
@@ -320,9 +322,9 @@ def corridor(stage: Stage) -> ShotMaker:
     palette = [lights.random_light_color(rng) if stage.chance(0.5) else mat.blackbody(rng) for _ in range(3)]
     style = rng.choice(("ceiling", "wall", "strip"))
     for k in range(6):
-        if stage.chance(0.25):
+        if stage.chance(0.15):
             continue
-        y, glow = -7.5 + k * 3, mat.glow(rng, log_uniform(rng, 5, 30), rng.choice(palette))
+        y, glow = -7.5 + k * 3, mat.glow(rng, log_uniform(rng, 10, 40), rng.choice(palette))
         if style == "ceiling":
             objects.box(stage, (-0.25, y - 0.25, high - 0.03), (0.25, y + 0.25, high - 0.001), glow)
         elif style == "wall":
