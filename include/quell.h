@@ -357,7 +357,9 @@ typedef struct quell_options {
 } quell_options;
 
 enum {
-    QUELL_DENOISE_KEEP_NOISY = 1 /* keep the noisy Combined as a layer "Noisy Image" beside the denoised one */
+    QUELL_DENOISE_KEEP_NOISY = 1, /* keep the noisy Combined as a layer "Noisy Image" beside the denoised one */
+    QUELL_DENOISE_NO_SKIP = 2,    /* compute everything, also what needs no work */
+    QUELL_DENOISE_NO_BLEND = 4    /* the kernels' result alone: changes finished renders too */
 };
 
 typedef struct quell_report quell_report;
@@ -393,16 +395,20 @@ typedef struct quell_report_layer {
     uint64_t num_limited_pixels; /* fireflies limited before filtering */
     double mean_before;          /* over valid pixels and colour channels */
     double mean_after;
+    double noise; /* estimated deviation of the input relative to its local mean, root mean square over the image; 0 for
+                      layers that are not filtered */
+    double blend; /* share of the kernels' result in the output, 0 to 1, mean over the image; 0 from quell_plan */
+    double change; /* output - input relative to the local mean, root mean square; 0 from quell_plan */
 } quell_report_layer;
 
 typedef struct quell_report_summary {
     uint32_t struct_size;
     uint32_t num_layers;
     uint32_t tile_width, tile_height; /* without halo */
-    uint32_t num_tiles;
-    uint32_t halo;         /* pixels read beyond a tile's edge */
-    uint64_t peak_bytes;   /* working memory: planned by quell_plan, measured by quell_denoise */
-    double macs_per_pixel; /* of the network parts that ran */
+    uint32_t num_tiles;               /* that are computed */
+    uint32_t halo;                    /* pixels read beyond a tile's edge */
+    uint64_t peak_bytes;              /* working memory: planned by quell_plan, measured by quell_denoise */
+    double macs_per_pixel;            /* of the network parts that ran */
     /* Wall clock of the stages; 0 from quell_plan. The rest of seconds_total is results and the report itself. */
     double seconds_features; /* making the network's inputs: what the threads spent on it, over their number */
     double seconds_network;
@@ -416,6 +422,8 @@ typedef struct quell_report_summary {
     double seconds_recombine; /* putting Combined together from its parts */
     uint32_t iterations;      /* that DGAN-KPN ran; 0 with other models, and from quell_plan */
     uint32_t reserved0;
+    uint32_t num_cells;        /* cells of 32x32 pixels, over all view layers that have something to denoise */
+    uint32_t num_active_cells; /* those that are computed: elsewhere nothing is noisy */
 } quell_report_summary;
 
 /* NULL is allowed. Since: 0.1 */

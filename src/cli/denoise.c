@@ -25,6 +25,8 @@ static const char help_text[] =
     "  -m, --model NAME|FILE a built-in model (quell --version -v lists them) or a weight file\n"
     "  -l, --layers WHICH    all (default): every light pass; beauty: Combined alone; or names, comma-separated\n"
     "      --keep-noisy      keep the noisy Combined as the layer 'Noisy Image'\n"
+    "      --no-skip         compute everything, also layers and parts of the image that need no work\n"
+    "      --no-blend        do not blend with the render where that is cleaner: changes finished renders too\n"
     "      --codec CODEC     for parts that are encoded again: keep (default; lossy ones become zip), none, rle, "
     "zips,\n"
     "                        zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k\n"
@@ -57,13 +59,16 @@ enum {
     OPT_KPN_ONLY,
     OPT_ITERATIONS,
     OPT_ITERATE,
-    OPT_RUN_ALL
+    OPT_RUN_ALL,
+    OPT_NO_SKIP,
+    OPT_NO_BLEND
 };
 
 typedef struct denoise_args {
     cli_common common;
     const char *output, *layers, *report;
-    int is_overwriting, keeps_noisy;
+    int is_overwriting;
+    uint32_t flags; /* QUELL_DENOISE_* */
     int32_t codec;
     uint32_t tile_size;
     quell_dgan_options dgan;
@@ -122,7 +127,9 @@ static int own_option(denoise_args *args, int code, const char *argument)
     case 'o': args->output = argument; return 0;
     case 'l': args->layers = argument; return 0;
     case OPT_OVERWRITE: args->is_overwriting = 1; return 0;
-    case OPT_KEEP_NOISY: args->keeps_noisy = 1; return 0;
+    case OPT_KEEP_NOISY: args->flags |= QUELL_DENOISE_KEEP_NOISY; return 0;
+    case OPT_NO_SKIP: args->flags |= QUELL_DENOISE_NO_SKIP; return 0;
+    case OPT_NO_BLEND: args->flags |= QUELL_DENOISE_NO_BLEND; return 0;
     case OPT_REPORT: args->report = argument; return 0;
     case OPT_CODEC:
         if (parse_codec(argument, &args->codec) == 0) return 0;
@@ -154,6 +161,8 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         {"quiet", no_argument, NULL, 'q'},
         {"overwrite", no_argument, NULL, OPT_OVERWRITE},
         {"keep-noisy", no_argument, NULL, OPT_KEEP_NOISY},
+        {"no-skip", no_argument, NULL, OPT_NO_SKIP},
+        {"no-blend", no_argument, NULL, OPT_NO_BLEND},
         {"codec", required_argument, NULL, OPT_CODEC},
         {"report", required_argument, NULL, OPT_REPORT},
         {"tile", required_argument, NULL, OPT_TILE},
@@ -260,7 +269,7 @@ static quell_status denoise_frame(quell_context *ctx, const quell_model *model, 
                                   const denoise_args *args, cli_progress *progress, quell_report **report)
 {
     quell_options options = {.struct_size = sizeof options};
-    options.flags = args->keeps_noisy ? QUELL_DENOISE_KEEP_NOISY : 0u;
+    options.flags = args->flags;
     options.layers = args->layers;
     options.tile_size = args->tile_size;
     quell_dgan_options dgan = args->dgan;

@@ -69,6 +69,9 @@ cJSON *cli_json_report_layer(const quell_report_layer *layer)
     cli_json_number(json, "limited_pixels", (double)layer->num_limited_pixels);
     cli_json_number(json, "mean_before", layer->mean_before);
     cli_json_number(json, "mean_after", layer->mean_after);
+    cli_json_number(json, "noise", layer->noise);
+    cli_json_number(json, "blend", layer->blend);
+    cli_json_number(json, "change", layer->change);
     return json;
 }
 
@@ -83,6 +86,8 @@ cJSON *cli_json_summary(const quell_report_summary *summary)
     cli_json_number(json, "tile_height", summary->tile_height);
     cli_json_number(json, "tiles", summary->num_tiles);
     cli_json_number(json, "halo", summary->halo);
+    cli_json_number(json, "cells", summary->num_cells);
+    cli_json_number(json, "active_cells", summary->num_active_cells);
     cli_json_number(json, "peak_bytes", (double)summary->peak_bytes);
     cli_json_number(json, "macs_per_pixel", summary->macs_per_pixel);
     return json;

@@ -5,6 +5,7 @@
 #include "base/clock.h"
 #include "denoise/dgan.h"
 #include "denoise/region.h"
+#include "denoise/survey.h"
 #include "frame/roles.h"
 
 #include <math.h>
@@ -21,6 +22,8 @@ typedef struct work {
     ql_scan *scans;
     float **results;
     double *means; /* of the results */
+    ql_survey survey;
+    uint32_t flags; /* QUELL_DENOISE_* */
     ql_job job;
     const ql_dgan *dgan; /* NULL: a model of the quell family */
     ql_dgan_job dgan_job;
@@ -42,6 +45,14 @@ static int is_radiance(int32_t role)
     return group != QL_GROUP_NONE && group != QL_GROUP_COLOR;
 }
 
+/* Whether some layer's result is made from this layer's pixels. */
+static int is_filtered(const ql_plan *plan, uint32_t index)
+{
+    for (uint32_t i = 0; i < plan->num_layers; ++i)
+        if (plan->layers[i].action == QUELL_ACTION_DENOISED && plan->layers[i].source == (int32_t)index) return 1;
+    return 0;
+}
+
 static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
 {
     const ql_plan_set *const set = &w->plan.sets[set_index];
@@ -61,7 +72,7 @@ static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
             flags |= QL_SCAN_LIMIT;
         /* What the camera sees of emitters and sky is no firefly. */
         if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) flags = 0;
-        if ((int32_t)i == set->beauty) flags |= QL_SCAN_BINS;
+        if ((int32_t)i == set->beauty || is_filtered(&w->plan, i)) flags |= QL_SCAN_BINS;
         if ((int32_t)i == depth) flags |= QL_SCAN_BINS | QL_SCAN_DEPTH;
         /* Fireflies are the generator's business, and each layer has an exposure of its own. */
         if (w->dgan) flags = (flags & ~(uint32_t)QL_SCAN_LIMIT) | QL_SCAN_BINS;
@@ -164,10 +175,15 @@ static quell_status look(work *w, ql_error *err)
             /* What a generator paints is its own affair, of a constant image too. */
             facts[i] = (ql_layer_facts){w->scans[i].is_zero,
                                         w->dgan == NULL && w->scans[i].is_constant && w->scans[i].is_constant_alpha};
-        ql_plan_skip(&w->plan, facts);
+        if (!(w->flags & QUELL_DENOISE_NO_SKIP)) ql_plan_skip(&w->plan, w->frame, facts);
     }
-    if (w->dgan == NULL) /* which filters Combined as one image */
+    if (w->dgan == NULL) { /* which filters Combined as one image, and promises nothing about its noise */
+        const uint32_t all_cells = w->flags & QUELL_DENOISE_NO_SKIP ? QL_SURVEY_ALL_CELLS : 0;
+        const uint32_t no_blend = w->flags & QUELL_DENOISE_NO_BLEND ? QL_SURVEY_NO_BLEND : 0;
+        if (status == QUELL_OK)
+            status = ql_survey_frame(w->env, w->frame, w->scans, all_cells | no_blend, &w->plan, &w->survey, err);
         for (uint32_t s = 0; s < w->plan.num_sets && status == QUELL_OK; ++s) status = choose_combined(w, s, err);
+    }
     ql_free(w->env->memory, facts);
     return status;
 }
@@ -217,7 +233,6 @@ static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memor
                        (unsigned long long)(w->planned_bytes >> 20) + 1, (unsigned long long)(max_memory_bytes >> 20));
     w->tile_width = tw;
     w->tile_height = th;
-    w->num_tiles = ((w->frame->width + tw - 1) / tw) * ((w->frame->height + th - 1) / th);
     return QUELL_OK;
 }
 
@@ -236,12 +251,33 @@ static quell_status choose_bands(work *w, const ql_kernels *kernels, const quell
     return QUELL_OK;
 }
 
-static ql_region region_at(const work *w, uint32_t index)
+static uint32_t num_tiles(const work *w, const ql_plan_rect *rect)
 {
-    const uint32_t across = (w->frame->width + w->tile_width - 1) / w->tile_width;
-    ql_region r = {.x0 = index % across * w->tile_width, .y0 = index / across * w->tile_height};
-    r.x1 = r.x0 + w->tile_width < w->frame->width ? r.x0 + w->tile_width : w->frame->width;
-    r.y1 = r.y0 + w->tile_height < w->frame->height ? r.y0 + w->tile_height : w->frame->height;
+    return ((rect->x1 - rect->x0 + w->tile_width - 1) / w->tile_width) *
+           ((rect->y1 - rect->y0 + w->tile_height - 1) / w->tile_height);
+}
+
+/* What a set's active cells are computed in; returns how many rectangles. */
+static uint32_t cover(work *w, uint32_t set, ql_plan_rect rects[QL_PLAN_MAX_RECTS])
+{
+    return ql_plan_cells_cover(&w->survey.cells[set], w->halo, rects, QL_PLAN_MAX_RECTS);
+}
+
+/* Tiles of all sets together. */
+static void count_tiles(work *w)
+{
+    ql_plan_rect rects[QL_PLAN_MAX_RECTS];
+    w->num_tiles = 0;
+    for (uint32_t s = 0; s < w->plan.num_sets; ++s)
+        for (uint32_t i = 0, num = cover(w, s, rects); i < num; ++i) w->num_tiles += num_tiles(w, &rects[i]);
+}
+
+static ql_region region_at(const work *w, const ql_plan_rect *rect, uint32_t index)
+{
+    const uint32_t across = (rect->x1 - rect->x0 + w->tile_width - 1) / w->tile_width;
+    ql_region r = {.x0 = rect->x0 + index % across * w->tile_width, .y0 = rect->y0 + index / across * w->tile_height};
+    r.x1 = r.x0 + w->tile_width < rect->x1 ? r.x0 + w->tile_width : rect->x1;
+    r.y1 = r.y0 + w->tile_height < rect->y1 ? r.y0 + w->tile_height : rect->y1;
     r.rx = r.x0 > w->halo ? r.x0 - w->halo : 0;
     r.ry = r.y0 > w->halo ? r.y0 - w->halo : 0;
     const uint32_t right = align_up(w->frame->width, QL_NET_ALIGNMENT),
@@ -345,33 +381,55 @@ static quell_status measure_means(work *w, ql_error *err)
     return status;
 }
 
-static int set_has_work(const work *w, uint32_t set_index)
+/* Filters what is active of every set. */
+static quell_status run_sets(work *w, ql_error *err)
 {
-    for (uint32_t i = 0; i < w->plan.num_layers; ++i)
-        if (w->plan.layers[i].set == (int32_t)set_index && w->plan.layers[i].action == QUELL_ACTION_DENOISED) return 1;
-    return 0;
+    ql_plan_rect rects[QL_PLAN_MAX_RECTS];
+    const double share = 0.9 / (double)(w->num_tiles ? w->num_tiles : 1);
+    for (uint32_t s = 0, done = 0; s < w->plan.num_sets; ++s) {
+        const uint32_t num_rects = cover(w, s, rects);
+        if (num_rects == 0) continue;
+        const ql_feature_setup setup = feature_setup(w, s);
+        for (uint32_t i = 0; i < num_rects; ++i)
+            for (uint32_t t = 0; t < num_tiles(w, &rects[i]); ++t, ++done) {
+                const ql_region region = region_at(w, &rects[i], t);
+                w->env->progress_from = 0.05 + share * done;
+                w->env->progress_to = 0.05 + share * (done + 1);
+                QL_TRY(ql_region_run(&w->job, w->env, s, &setup, &region, err));
+            }
+    }
+    return QUELL_OK;
+}
+
+static quell_status blend(work *w, ql_error *err)
+{
+    if (w->flags & QUELL_DENOISE_NO_BLEND) return QUELL_OK;
+    for (uint32_t i = 0, done = 0; i < w->frame->num_layers; ++i) {
+        if (w->results[i] == NULL) continue;
+        w->env->progress_from = 0.95 + 0.05 * done / w->plan.num_denoised;
+        w->env->progress_to = 0.95 + 0.05 * ++done / w->plan.num_denoised;
+        QL_TRY(ql_survey_blend(w->env, w->frame, w->scans, &w->plan, i, w->results[i], &w->survey, err));
+    }
+    return QUELL_OK;
 }
 
 static quell_status run(work *w, ql_error *err)
 {
     QL_TRY(start_results(w, err));
     w->job.results = w->results;
-    const uint32_t steps = w->plan.num_sets * w->num_tiles;
-    for (uint32_t s = 0, done = 0; s < w->plan.num_sets; ++s) {
-        if (!set_has_work(w, s)) {
-            done += w->num_tiles;
-            continue;
-        }
-        const ql_feature_setup setup = feature_setup(w, s);
-        for (uint32_t t = 0; t < w->num_tiles; ++t, ++done) {
-            const ql_region region = region_at(w, t);
-            w->env->progress_from = 0.05 + 0.95 * done / steps;
-            w->env->progress_to = 0.05 + 0.95 * (done + 1) / steps;
-            QL_TRY(ql_region_run(&w->job, w->env, s, &setup, &region, err));
-        }
-    }
+    QL_TRY(run_sets(w, err));
+    const double start = ql_clock_seconds();
+    QL_TRY(blend(w, err));
+    w->job.seconds_filter += ql_clock_seconds() - start;
     w->env->progress_from = w->env->progress_to = 1.0;
     return measure_means(w, err);
+}
+
+static int set_has_work(const work *w, uint32_t set_index)
+{
+    for (uint32_t i = 0; i < w->plan.num_layers; ++i)
+        if (w->plan.layers[i].set == (int32_t)set_index && w->plan.layers[i].action == QUELL_ACTION_DENOISED) return 1;
+    return 0;
 }
 
 /* What DGAN-KPN lacks is said twice: which passes in the log, and with each layer that they are fewer. */
@@ -443,7 +501,11 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         if (plan->action != QUELL_ACTION_DENOISED) continue;
         layer->num_bad_pixels = scan->num_bad;
         layer->num_limited_pixels = scan->num_limited;
-        if (!dry) layer->mean_after = w->means[i];
+        if (w->survey.layers) layer->noise = w->survey.layers[i].noise.level;
+        if (!dry) {
+            layer->mean_after = w->means[i];
+            if (w->survey.layers) ql_survey_layer_means(&w->survey.layers[i], &layer->blend, &layer->change);
+        }
         if (plan->group == QL_GROUP_COLOR || plan->group == QL_GROUP_EMISSION)
             has_light = 1;
         else
@@ -468,6 +530,11 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, num_groups, (int32_t)has_light);
     summary->combined = ql_plan_combined_name(combined);
     summary->model_name = report->model_name;
+    for (uint32_t s = 0; s < w->plan.num_sets; ++s) {
+        if (w->dgan || w->plan.sets[s].beauty == QL_PLAN_NONE) continue;
+        summary->num_cells += w->survey.cells[s].across * w->survey.cells[s].down;
+        summary->num_active_cells += w->survey.cells[s].num_active;
+    }
     if (!dry) {
         summary->seconds_features = w->job.seconds_features;
         summary->seconds_network = w->job.seconds_network;
@@ -487,7 +554,7 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
                               ql_error *err)
 {
     const double start = ql_clock_seconds();
-    work w = {.env = env, .frame = frame, .dgan = ql_model_dgan(model)};
+    work w = {.env = env, .frame = frame, .flags = options->flags, .dgan = ql_model_dgan(model)};
     const char *const by_default = w.dgan ? "beauty" : NULL;
     *report = NULL;
     if (w.dgan == NULL && options->dgan)
@@ -506,6 +573,7 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
         w.job =
             (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
         status = choose_tiles(&w, options->tile_size, max_memory_bytes, err);
+        if (status == QUELL_OK) count_tiles(&w);
         if (status == QUELL_OK && !dry) status = run(&w, err);
     }
     if (status == QUELL_OK) status = make_report(&w, model, ql_clock_seconds() - start, dry, report, err);
@@ -523,6 +591,7 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     ql_free(env->memory, w.scans);
     ql_free(env->memory, w.results);
     ql_free(env->memory, w.means);
+    ql_survey_free(&w.survey, env->memory);
     ql_plan_free(&w.plan, env->memory);
     return status;
 }

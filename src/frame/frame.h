@@ -43,7 +43,7 @@ typedef struct ql_frame {
     uint32_t num_layers, capacity;
     struct ql_exr_source *source;
     void (*source_destroy)(struct ql_exr_source *source);
-    double seconds_decode; /* wall clock of reading it from its file; 0 for frames from memory */
+    double seconds_decode;   /* wall clock of reading it from its file; 0 for frames from memory */
     int32_t add_noisy_image; /* QUELL_DENOISE_KEEP_NOISY was asked: writers add 'Noisy Image' */
 } ql_frame;
 

@@ -194,22 +194,41 @@ quell_status ql_plan_create(const ql_frame *frame, const char *wanted, ql_memory
     return status;
 }
 
-void ql_plan_skip(ql_plan *plan, const ql_layer_facts *facts)
+/* Whether the colour that a light pass was divided by is there and black everywhere. */
+static int has_black_color(const ql_plan *plan, const ql_frame *frame, uint32_t index, const ql_layer_facts *facts)
+{
+    const ql_plan_set *const set = &plan->sets[plan->layers[index].set];
+    const int32_t role = ql_role_color(frame->layers[index].role);
+    if (!set->has_light || role == QUELL_ROLE_OTHER) return 0;
+    return facts[set->role_layer[role]].is_zero;
+}
+
+static void skip(ql_plan *plan, uint32_t index, const char *reason)
+{
+    plan->layers[index].action = QUELL_ACTION_SKIPPED;
+    plan->layers[index].reason = reason;
+    count(plan);
+}
+
+void ql_plan_skip(ql_plan *plan, const ql_frame *frame, const ql_layer_facts *facts)
 {
     for (uint32_t i = 0; i < plan->num_layers; ++i) {
-        ql_plan_layer *const layer = &plan->layers[i];
+        const ql_plan_layer *const layer = &plan->layers[i];
         if (layer->action != QUELL_ACTION_DENOISED) continue;
         /* A layer that Blender denoised needs its noisy original's filtered pixels even if that is constant. */
         if (layer->source != (int32_t)i) continue;
         if (facts[i].is_zero)
-            layer->reason = "zero everywhere";
+            skip(plan, i, "zero everywhere");
         else if (facts[i].is_constant)
-            layer->reason = "the same everywhere";
-        else
-            continue;
-        layer->action = QUELL_ACTION_SKIPPED;
+            skip(plan, i, "the same everywhere");
+        else if (has_black_color(plan, frame, i, facts))
+            skip(plan, i, "its colour is black everywhere");
     }
-    count(plan);
+}
+
+void ql_plan_skip_clean(ql_plan *plan, uint32_t layer, int32_t is_finished)
+{
+    skip(plan, layer, is_finished ? "finished: many samples, no noise that shows" : "clean: no noise that shows");
 }
 
 void ql_plan_choose_combined(ql_plan *plan, uint32_t index, const double closure[2])

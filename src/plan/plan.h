@@ -47,7 +47,10 @@ typedef struct ql_plan {
 quell_status ql_plan_create(const ql_frame *frame, const char *wanted, ql_memory *memory, ql_plan *plan, ql_error *err);
 
 /* Takes layers out that their facts say need no work. facts: [num_layers], those of layers that the plan denoises. */
-void ql_plan_skip(ql_plan *plan, const ql_layer_facts *facts);
+void ql_plan_skip(ql_plan *plan, const ql_frame *frame, const ql_layer_facts *facts);
+
+/* Takes out one layer whose noise leaves nothing to do; is_finished: because of its number of samples. */
+void ql_plan_skip_clean(ql_plan *plan, uint32_t layer, int32_t is_finished);
 
 /* closure[env]: mean difference of the passes' sum and Combined relative to Combined's mean, without and with
  * Environment. Chooses how a set's Combined is made. */

@@ -77,7 +77,7 @@ static void structs_are_where_they_were(void **state)
     AT(quell_dgan_options, flags, 16);
     AT(quell_dgan_options, reserved0, 20);
 
-    SIZE(quell_report_layer, 56);
+    SIZE(quell_report_layer, 80);
     AT(quell_report_layer, action, 4);
     AT(quell_report_layer, full_name, 8);
     AT(quell_report_layer, reason, 16);
@@ -85,8 +85,11 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_layer, num_limited_pixels, 32);
     AT(quell_report_layer, mean_before, 40);
     AT(quell_report_layer, mean_after, 48);
+    AT(quell_report_layer, noise, 56);
+    AT(quell_report_layer, blend, 64);
+    AT(quell_report_layer, change, 72);
 
-    SIZE(quell_report_summary, 120);
+    SIZE(quell_report_summary, 128);
     AT(quell_report_summary, num_layers, 4);
     AT(quell_report_summary, tile_width, 8);
     AT(quell_report_summary, tile_height, 12);
@@ -105,6 +108,8 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_summary, seconds_recombine, 104);
     AT(quell_report_summary, iterations, 112);
     AT(quell_report_summary, reserved0, 116);
+    AT(quell_report_summary, num_cells, 120);
+    AT(quell_report_summary, num_active_cells, 124);
 
     SIZE(quell_metrics, 56);
     AT(quell_metrics, reserved0, 4);
@@ -140,6 +145,8 @@ static void numbers_mean_what_they_meant(void **state)
     assert_int_equal(QUELL_ROLE_VOLUME_TRANSMIT, 29);
     assert_int_equal(QUELL_CODEC_HTJ2K, 11);
     assert_int_equal(QUELL_DENOISE_KEEP_NOISY, 1);
+    assert_int_equal(QUELL_DENOISE_NO_SKIP, 2);
+    assert_int_equal(QUELL_DENOISE_NO_BLEND, 4);
     assert_int_equal(QUELL_ACTION_UNTOUCHED, 4);
     assert_int_equal(QUELL_LAYER_BORROW, 1);
 }

@@ -162,7 +162,8 @@ static void run_frame(const fixture *f, int32_t cpu, uint32_t tile, pass *passes
         assert_int_equal(quell_frame_add_layer(ctx, frame, passes[i].name, &image, QUELL_LAYER_COPY, NULL), QUELL_OK);
     }
     if (with_samples) assert_int_equal(quell_frame_set_samples(frame, (uint32_t)size[2]), QUELL_OK);
-    const quell_options denoise = {.struct_size = sizeof denoise, .tile_size = tile};
+    /* The network's result alone is what PyTorch has. */
+    const quell_options denoise = {.struct_size = sizeof denoise, .flags = QUELL_DENOISE_NO_BLEND, .tile_size = tile};
     assert_int_equal(quell_denoise(ctx, model, frame, &denoise, NULL), QUELL_OK);
     for (size_t i = 0; i < num; ++i) {
         const quell_image image = {.struct_size = sizeof image,
