@@ -58,7 +58,9 @@ def configure(scene: bpy.types.Scene) -> None:
     layer.cycles.use_pass_volume_direct = True
     layer.cycles.use_pass_volume_indirect = True
     layer.cycles.denoising_store_passes = True
-    layer.cycles.use_pass_shadow_catcher = any(obj.is_shadow_catcher for obj in scene.objects)
+    # Lamps carry the flag too, and by default: there it means that catchers catch their shadows.
+    catchers = [obj for obj in scene.objects if obj.type == "MESH" and obj.is_shadow_catcher]
+    layer.cycles.use_pass_shadow_catcher = bool(catchers)
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     # Every pixel must get the sample count that the file name says.
