@@ -426,6 +426,12 @@ bench-peers bench-quick: deps-bench
 	$(Q)$(PYTHON) bench/peers.py --build $(OUT) $(if $(BENCH_OUT),--quick --results $(BENCH_OUT)/results) $(BENCH_FLAGS)
 	$(Q)$(PYTHON) bench/report.py $(if $(BENCH_OUT),--results $(BENCH_OUT)/results --out $(BENCH_OUT)/docs)
 
+# A Python with what training needs (training/README.md) and the runs of training/dgan/runs.py.
+TRAINING_PYTHON ?= python3
+## ablation: measure the parts of DGAN-KPN on the samples and write the tables of docs/ablation.md
+ablation: all
+	$(Q)$(TRAINING_PYTHON) -m training.dgan.ablation --quell $(CLI)
+
 ## deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: only install what those targets need
 deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: deps-%:
 	$(Q)scripts/install_deps.sh $*
@@ -485,7 +491,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: all lib cli wheel addon c-tests run-c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
+.PHONY: ablation all lib cli wheel addon c-tests run-c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:

@@ -24,12 +24,12 @@ static quell_image packed(float *data)
     return image;
 }
 
-static int set_up(void **state)
+static int set_up_with(void **state, const char *model)
 {
     fixture *f = calloc(1, sizeof *f);
     quell_context_options options = {.struct_size = sizeof options, .num_threads = 2};
     assert_int_equal(quell_context_create(&options, &f->ctx), QUELL_OK);
-    assert_int_equal(quell_model_open(f->ctx, NULL, &f->model), QUELL_OK);
+    assert_int_equal(quell_model_open(f->ctx, model, &f->model), QUELL_OK);
     for (size_t i = 0; i < NUM_VALUES; i++) f->color[i] = (float)((i * 7919u) % 1013u) / 500.0f;
     memcpy(f->lent, f->color, sizeof f->color);
     const quell_image image = packed(f->lent);
@@ -39,6 +39,16 @@ static int set_up(void **state)
     memcpy(f->expected, f->lent, sizeof f->lent);
     *state = f;
     return 0;
+}
+
+static int set_up(void **state)
+{
+    return set_up_with(state, NULL);
+}
+
+static int set_up_dgan(void **state)
+{
+    return set_up_with(state, "tests/golden/dgan_small.qwt");
 }
 
 static int tear_down(void **state)
@@ -169,5 +179,11 @@ int main(void)
         cmocka_unit_test(comparing_may_fail),
         cmocka_unit_test(limits_hold),
     };
-    return cmocka_run_group_tests(tests, set_up, tear_down);
+    const struct CMUnitTest dgan_tests[] = {
+        cmocka_unit_test(working_memory_may_fail),
+        cmocka_unit_test(memory_of_the_frame_may_fail),
+        cmocka_unit_test(limits_hold),
+    };
+    const int failed = cmocka_run_group_tests(tests, set_up, tear_down);
+    return failed + cmocka_run_group_tests(dgan_tests, set_up_dgan, tear_down);
 }

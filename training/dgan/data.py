@@ -15,10 +15,10 @@ from torch import Tensor
 
 from training.data.crops import turn, turn_normal
 from training.data.pack import INPUT, TARGET, PackedFrame, load_packs, to_target
-from training.data.store import list_frames, pass_slice, read_render
+from training.data.store import FrameRecord, list_frames, pass_slice, read_render
 from training.dgan.features import Auxiliary, box_position, is_hit, make_auxiliary
 from training.features import log_exponent
-from training.paths import data_root
+from training.paths import data_root, state_root
 
 
 @dataclass(frozen=True)
@@ -60,20 +60,30 @@ def depth_exponent(depth: Tensor) -> int:
     return log_exponent(torch.where(is_hit(depth), depth, torch.zeros(())))
 
 
-def load_frames(split: str) -> list[Frame]:
-    """Every packed frame of a split. Position is not in the packs; it is read from the render with the most samples."""
-    records = {f"{r.family}-{r.name}": r for r in list_frames(data_root(), split)}
-    frames = []
-    for packed in load_packs(split):
-        record = records.get(packed.name)
-        if record is None:
-            continue
+def boxed_position(packed: PackedFrame, record: FrameRecord) -> np.ndarray:
+    """Position [3,h,w] in the frame's box, float16. It is not in the packs: it is read from the render with the most
+    samples and kept, because decoding all passes of a render takes a tenth of a second."""
+    kept = state_root() / "positions" / f"{packed.name}.npy"
+    if not kept.exists():
         numbered = {int(key.split("_")[0]): path for key, path in record.renders.items() if key[0].isdigit()}
         render = read_render(numbered[max(numbered)])
         depth = torch.from_numpy(packed.inputs[-1][INPUT["depth"]].astype(np.float32))
         position = torch.from_numpy(np.nan_to_num(render[pass_slice("Position")].astype(np.float32)))
-        boxed = box_position(position, is_hit(depth)).numpy().astype(np.float16)
-        frames.append(Frame(packed, boxed, depth_exponent(depth)))
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        temporary = kept.with_suffix(".tmp.npy")
+        np.save(temporary, box_position(position, is_hit(depth)).numpy().astype(np.float16))
+        temporary.rename(kept)
+    return np.load(kept)
+
+
+def load_frames(split: str) -> list[Frame]:
+    """Every packed frame of a split whose render is there."""
+    records = {f"{r.family}-{r.name}": r for r in list_frames(data_root(), split)}
+    frames = []
+    for packed in load_packs(split):
+        if packed.name in records:
+            depth = torch.from_numpy(packed.inputs[-1][INPUT["depth"]].astype(np.float32))
+            frames.append(Frame(packed, boxed_position(packed, records[packed.name]), depth_exponent(depth)))
     return frames
 
 
