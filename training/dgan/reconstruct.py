@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.dgan.config import KERNEL_RADIUS
-from training.native import ApplyKernel
+from training.dgan.native import WideKernel
 
 
 def normalise_kernels(logits: Tensor) -> Tensor:
@@ -34,7 +34,7 @@ def reconstruct_reference(image: Tensor, logits: Tensor, radius: int = KERNEL_RA
 def reconstruct(image: Tensor, logits: Tensor, radius: int = KERNEL_RADIUS) -> Tensor:
     """The same by the native kernel, for training on a CPU."""
     values = torch.cat([image.float(), torch.ones_like(image[:, :1], dtype=torch.float32)], 1)
-    out = ApplyKernel.apply(values, logits, radius, 0)
+    out = WideKernel.apply(values, logits, radius)
     return out[:, :-1] / out[:, -1:]
 
 

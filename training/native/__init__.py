@@ -30,21 +30,26 @@ FLAGS = [
 ]
 
 
-@functools.cache
-def library() -> ctypes.CDLL:
-    """Compiles the C source for this machine, once per content, and loads it."""
+def compiled(source: Path) -> ctypes.CDLL:
+    """Compiles a C source for this machine, once per content, and loads it."""
     cpu = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if Path("/proc/cpuinfo").exists() else ""
     flags_line = next((line for line in cpu.splitlines() if line.startswith("flags")), "")
-    key = hashlib.sha256(SOURCE.read_bytes() + " ".join(FLAGS).encode() + flags_line.encode()).hexdigest()[:16]
+    key = hashlib.sha256(source.read_bytes() + " ".join(FLAGS).encode() + flags_line.encode()).hexdigest()[:16]
     cache = Path(os.environ.get("QUELL_CACHE", Path.home() / ".cache" / "quell")) / "native"
-    target = cache / f"kernel_ops-{key}.so"
+    target = cache / f"{source.stem}-{key}.so"
     if not target.exists():
         cache.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=cache, suffix=".so", delete=False) as temporary:
             pass
-        subprocess.run(["gcc", *FLAGS, "-o", temporary.name, str(SOURCE), "-lm"], check=True)
+        subprocess.run(["gcc", *FLAGS, "-o", temporary.name, str(source), "-lm"], check=True)
         Path(temporary.name).rename(target)
-    lib = ctypes.CDLL(str(target))
+    return ctypes.CDLL(str(target))
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """The kernels of the quell family."""
+    lib = compiled(SOURCE)
     pointer = ctypes.c_void_p
     lib.guided_forward.argtypes = [ctypes.c_long] + [pointer] * 5
     lib.guided_forward.restype = None
