@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _RESOLUTIONS = ((0, 0), (640, 360), (960, 540), (1280, 720), (1920, 1080))
 #: Sub-folder of a frame for the passes that its scene alone has, named by "extra" in meta.json, 3 channels each.
 EXTRA = "extra"
+#: Sampling settings that scenes may change; recorded in meta.json.
+LIGHT_PATHS = ("sample_clamp_indirect", "blur_glossy", "caustics_reflective", "caustics_refractive", "max_bounces")
 _PREVIEW_LONG_SIDE = 208
 _PREVIEW_SPP = 3
 #: Lights that would need to be stronger or weaker by more than this are not where the scene needs them.
@@ -63,6 +65,10 @@ def fingerprint(scene: bpy.types.Scene) -> str:
     for material in sorted(bpy.data.materials, key=lambda m: m.name):
         nodes = len(material.node_tree.nodes) if material.use_nodes else 0
         digest.update(f"{material.name} {nodes}".encode())
+    for name in LIGHT_PATHS:
+        setting = getattr(scene.cycles, name)
+        if setting != scene.cycles.bl_rna.properties[name].default:
+            digest.update(f"{name} {setting}".encode())
     return digest.hexdigest()[:16]
 
 
@@ -135,6 +141,7 @@ def render_frame(
             "motion_blur": stage.scene.render.use_motion_blur,
             "depth_of_field": stage.scene.camera.data.dof.use_dof,
             "film_transparent": stage.scene.render.film_transparent,
+            "light_paths": {name: getattr(stage.scene.cycles, name) for name in LIGHT_PATHS},
             "fingerprint": mark,
             "revision": revision,
             "seconds": {},
