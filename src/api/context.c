@@ -74,6 +74,7 @@ static quell_status create_context(const quell_context_options *given, quell_con
     quell_context *ctx = calloc(1, sizeof *ctx); /* the counted memory lives inside it */
     if (!ctx) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "no memory for a context");
     ql_memory_init(&ctx->memory, options.max_memory_bytes);
+    ctx->memory.keeps_spare = 1; /* within a call: ql_call_end gives them back */
     ql_memory_init(&ctx->pool_memory, 0);
     atomic_init(&ctx->cancel, 0);
     ql_kernels_init(&ctx->kernels, cpu);
@@ -154,6 +155,7 @@ quell_status ql_call_begin(quell_context *ctx, ql_call *call)
 
 quell_status ql_call_end(ql_call *call, quell_status status)
 {
+    ql_memory_drop_spare(&call->ctx->memory);
     fesetenv(&call->fp_mode);
     if (status == QUELL_OK) {
         call->err->text[0] = '\0'; /* a failure on the way that was made good again */

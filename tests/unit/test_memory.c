@@ -92,12 +92,44 @@ static void zeroed_memory_and_copied_text(void **state)
     assert_int_equal(memory.used_bytes, 0);
 }
 
+static void spare_blocks_come_back_and_never_add_to_the_peak(void **state)
+{
+    (void)state;
+    enum { LARGE = 3 << 20 };
+    ql_memory memory;
+    ql_memory_init(&memory, 0);
+    memory.keeps_spare = 1;
+    unsigned char *const first = ql_alloc(&memory, LARGE, 1);
+    assert_non_null(first);
+    ql_free(&memory, first);
+    assert_int_equal(memory.used_bytes, 0);
+    unsigned char *const again = ql_alloc_zero(&memory, LARGE, 1);
+#if !defined(__SANITIZE_ADDRESS__)
+    assert_ptr_equal(again, first);
+#endif
+    assert_int_equal(again[LARGE - 1], 0);
+    const uint64_t peak = memory.peak_bytes;
+    ql_free(&memory, again);
+    ql_free(&memory, ql_alloc(&memory, LARGE - 4096, 1)); /* of another size: the spare one goes first */
+    assert_int_equal(memory.peak_bytes, peak);
+
+    void *blocks[QL_MEMORY_MAX_SPARE + 4];
+    for (size_t i = 0; i < QL_MEMORY_MAX_SPARE + 4; i++) blocks[i] = ql_alloc(&memory, 1 << 20, 1);
+    for (size_t i = 0; i < QL_MEMORY_MAX_SPARE + 4; i++) ql_free(&memory, blocks[i]);
+    ql_memory_drop_spare(&memory);
+    for (size_t i = 0; i < QL_MEMORY_MAX_SPARE; i++) assert_null(memory.spare[i]);
+    assert_int_equal(memory.used_bytes, 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(blocks_are_aligned_and_counted), cmocka_unit_test(overflow_is_no_memory),
-        cmocka_unit_test(limit_holds_and_frees_again),    cmocka_unit_test(chosen_allocation_fails_once),
+        cmocka_unit_test(blocks_are_aligned_and_counted),
+        cmocka_unit_test(overflow_is_no_memory),
+        cmocka_unit_test(limit_holds_and_frees_again),
+        cmocka_unit_test(chosen_allocation_fails_once),
         cmocka_unit_test(zeroed_memory_and_copied_text),
+        cmocka_unit_test(spare_blocks_come_back_and_never_add_to_the_peak),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
