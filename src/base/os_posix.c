@@ -15,11 +15,7 @@
 #include <unistd.h>
 #if defined(__linux__)
 #include <sched.h>
-#include <sys/mman.h>
 #endif
-
-#define PAGE_BYTES ((size_t)4096)
-#define POPULATED_BYTES ((size_t)1 << 20)
 
 /* ---- Files ------------------------------------------------------------------------------------------------------- */
 
@@ -173,16 +169,7 @@ uint32_t ql_os_num_cores(void)
 
 void *ql_os_alloc_aligned(size_t alignment, size_t num_bytes)
 {
-    uint8_t *const block = aligned_alloc(alignment, num_bytes);
-#if defined(__linux__) && defined(MADV_POPULATE_WRITE)
-    /* Blocks of pixels are written whole. One call costs a third of as many page faults; older kernels refuse it, and
-     * the faults come. */
-    if (block && num_bytes >= POPULATED_BYTES) {
-        const size_t before = (PAGE_BYTES - (uintptr_t)block % PAGE_BYTES) % PAGE_BYTES;
-        (void)madvise(block + before, (num_bytes - before) / PAGE_BYTES * PAGE_BYTES, MADV_POPULATE_WRITE);
-    }
-#endif
-    return block;
+    return aligned_alloc(alignment, num_bytes);
 }
 
 void ql_os_free_aligned(void *pointer)
