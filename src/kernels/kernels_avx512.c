@@ -11,7 +11,7 @@
 typedef __m512 vf;
 
 /* 32 registers: 24 sums, up to 4 weights, one value. */
-#define QL_TILE1 14
+#define QL_TILE1 12
 #define QL_TILE2 12
 #define QL_TILE3 8
 #define QL_TILE4 6
