@@ -29,6 +29,7 @@ def load_result(path: Path) -> bpy.types.Image:
     else:
         image.filepath = str(path)
         image.reload()
+    image.use_view_as_render = True
     return image
 
 

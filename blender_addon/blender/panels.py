@@ -9,14 +9,18 @@ from ..io import library
 from . import compositor, cycles_settings, engine_hook, image_operators, passes, properties, state
 
 _DETAIL_LINES = 6
-_LINE_CHARACTERS = 60
+# Of Blender's own font at a scale of 1, on average; and what the panel's borders and icon take.
+_CHARACTER_WIDTH = 7
+_BORDER_WIDTH = 60
 
 
 def _draw_text(layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
-    """A sentence, broken where a panel is too narrow for it."""
+    """A sentence, broken where the region is too narrow for it."""
+    scale = bpy.context.preferences.system.ui_scale
+    num_characters = int((bpy.context.region.width / scale - _BORDER_WIDTH) / _CHARACTER_WIDTH)
     line = ""
     for word in text.split():
-        if line and len(line) + len(word) >= _LINE_CHARACTERS:
+        if line and len(line) + len(word) >= num_characters:
             layout.label(text=line, icon=icon)
             line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
         line = f"{line} {word}".strip()

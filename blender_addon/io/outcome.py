@@ -43,4 +43,9 @@ class Outcome:
 
     def details(self) -> list[str]:
         """Lines below the summary: what was skipped and why, then the notes."""
-        return [f"{name}: {reason}" for name, reason in self.skipped] + self.notes
+        reasons: dict[str, list[str]] = {}
+        for name, reason in self.skipped:
+            reasons.setdefault(reason, []).append(name.rpartition(".")[2])
+        return [
+            f"{reason[:1].upper()}{reason[1:]}: {', '.join(names)}" for reason, names in reasons.items()
+        ] + self.notes
