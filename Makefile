@@ -346,7 +346,7 @@ check: syntax run-c-tests
 
 ## test: install what tests need, build, and run every test
 test: deps-test
-	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) wheel $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) addon $(VENV)/stamp-test
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender --ignore=tests/cross $(PYTEST_FLAGS)
 
 ## test-blender: the add-on in Debian's Blender and in a few modules from PyPI (1 GB each, into build/blender)

@@ -8,7 +8,6 @@ channel), row 0 on top; float32 and float16 arrays of any strides are used where
 
 from __future__ import annotations
 
-import ctypes as C
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -54,11 +53,11 @@ class _Handle:
 
     _destroy: str
 
-    def __init__(self, pointer: C.c_void_p) -> None:
-        self._pointer: C.c_void_p | None = pointer
+    def __init__(self, pointer: native.HANDLE) -> None:
+        self._pointer: native.HANDLE | None = pointer
 
     @property
-    def pointer(self) -> C.c_void_p:
+    def pointer(self) -> native.HANDLE:
         if self._pointer is None:
             raise QuellError(f"this {type(self).__name__} is closed")
         return self._pointer
@@ -87,7 +86,7 @@ class Model(_Handle):
     @property
     def info(self) -> ModelInfo:
         info = native.ModelInfo()
-        native.check(native.load().quell_model_get_info(self.pointer, C.byref(info)))
+        native.check(native.load().quell_model_get_info(self.pointer, native.byref(info)))
         return ModelInfo(
             name=native.text(info.name),
             description=native.text(info.description),
@@ -103,7 +102,7 @@ class Frame(_Handle):
 
     _destroy = "quell_frame_destroy"
 
-    def __init__(self, pointer: C.c_void_p, context: Context) -> None:
+    def __init__(self, pointer: native.HANDLE, context: Context) -> None:
         super().__init__(pointer)
         self._context = context
         self._borrowed: list[np.ndarray] = []  # kept alive for the library
@@ -122,15 +121,15 @@ class Frame(_Handle):
             pixels = np.ascontiguousarray(pixels)
         if borrow and not pixels.flags.writeable:
             raise QuellError(f"layer '{name}': a borrowed array must be writeable")
-        index = C.c_uint32()
+        index = native.Index()
         ownership = native.LAYER_BORROW if borrow else native.LAYER_COPY
         status = native.load().quell_frame_add_layer(
             self._context.pointer,
             self.pointer,
             native.encoded(name),
-            C.byref(_image(pixels, name)),
+            native.byref(_image(pixels, name)),
             ownership,
-            C.byref(index),
+            native.byref(index),
         )
         native.check(status, self._context.pointer)
         if borrow:
@@ -147,7 +146,7 @@ class Frame(_Handle):
         result = []
         for index in range(library.quell_frame_num_layers(self.pointer)):
             info = native.LayerInfo()
-            native.check(library.quell_frame_get_layer(self.pointer, index, C.byref(info)))
+            native.check(library.quell_frame_get_layer(self.pointer, index, native.byref(info)))
             result.append(
                 LayerInfo(
                     role=native.text(library.quell_role_name(info.role)),
@@ -170,7 +169,7 @@ class Frame(_Handle):
         library = native.load()
         if not library.quell_frame_num_layers(self.pointer):
             return 0, 0
-        native.check(library.quell_frame_get_layer(self.pointer, 0, C.byref(info)))
+        native.check(library.quell_frame_get_layer(self.pointer, 0, native.byref(info)))
         return info.width, info.height
 
     def find(self, name: str) -> int:
@@ -189,7 +188,7 @@ class Frame(_Handle):
         elif not out.flags.writeable:
             raise QuellError(f"layer '{name}': the array to fill must be writeable")
         status = native.load().quell_frame_copy_layer(
-            self._context.pointer, self.pointer, index, C.byref(_image(out, name))
+            self._context.pointer, self.pointer, index, native.byref(_image(out, name))
         )
         native.check(status, self._context.pointer)
         return out
@@ -198,7 +197,7 @@ class Frame(_Handle):
         """Writes the frame as the file it was read from; the file appears whole or not at all. codec: native.CODEC."""
         options = native.WriteOptions(codec=_choice(native.CODEC, codec, "codec"))
         status = native.load().quell_frame_write_exr(
-            self._context.pointer, self.pointer, native.encoded(path), C.byref(options)
+            self._context.pointer, self.pointer, native.encoded(path), native.byref(options)
         )
         native.check(status, self._context.pointer)
 
@@ -227,7 +226,7 @@ class Context(_Handle):
             options.log = native.LogFn(lambda _user, _level, message: log(native.text(message)))
         self._log = options.log  # the library calls it as long as the context lives
         pointer = native.HANDLE()
-        status = native.load().quell_context_create(C.byref(options), C.byref(pointer))
+        status = native.load().quell_context_create(native.byref(options), native.byref(pointer))
         native.check(status)
         super().__init__(pointer)
 
@@ -247,20 +246,20 @@ class Context(_Handle):
     def open_model(self, name_or_path: str | os.PathLike[str] = "") -> Model:
         """A built-in model by name, "" for the default, or a weight file."""
         pointer = native.HANDLE()
-        status = native.load().quell_model_open(self.pointer, native.encoded(name_or_path), C.byref(pointer))
+        status = native.load().quell_model_open(self.pointer, native.encoded(name_or_path), native.byref(pointer))
         native.check(status, self.pointer)
         return Model(pointer)
 
     def new_frame(self, width: int, height: int) -> Frame:
         """An empty frame, to be filled by Frame.add_layer."""
         pointer = native.HANDLE()
-        native.check(native.load().quell_frame_create(self.pointer, width, height, C.byref(pointer)), self.pointer)
+        native.check(native.load().quell_frame_create(self.pointer, width, height, native.byref(pointer)), self.pointer)
         return Frame(pointer, self)
 
     def read_exr(self, path: str | os.PathLike[str]) -> Frame:
         """A multilayer or plain EXR file. The file is not changed, and must stay until the frame is closed."""
         pointer = native.HANDLE()
-        status = native.load().quell_frame_read_exr(self.pointer, native.encoded(path), C.byref(pointer))
+        status = native.load().quell_frame_read_exr(self.pointer, native.encoded(path), native.byref(pointer))
         native.check(status, self.pointer)
         return Frame(pointer, self)
 
@@ -295,7 +294,7 @@ class Context(_Handle):
         )
         report = native.HANDLE()
         status = native.load().quell_denoise(
-            self.pointer, model.pointer, frame.pointer, C.byref(options), C.byref(report)
+            self.pointer, model.pointer, frame.pointer, native.byref(options), native.byref(report)
         )
         try:
             if raised:
@@ -309,7 +308,9 @@ class Context(_Handle):
         """What denoise would do, without doing it."""
         options = native.Options(layers=None if layers is None else native.encoded(layers))
         report = native.HANDLE()
-        status = native.load().quell_plan(self.pointer, model.pointer, frame.pointer, C.byref(options), C.byref(report))
+        status = native.load().quell_plan(
+            self.pointer, model.pointer, frame.pointer, native.byref(options), native.byref(report)
+        )
         try:
             native.check(status, self.pointer)
             return _report(report)
@@ -375,14 +376,14 @@ def _image(pixels: np.ndarray, name: str) -> native.Image:
     )
 
 
-def _report(pointer: C.c_void_p) -> Report:
+def _report(pointer: native.HANDLE) -> Report:
     library = native.load()
     summary = native.ReportSummary()
-    native.check(library.quell_report_get_summary(pointer, C.byref(summary)))
+    native.check(library.quell_report_get_summary(pointer, native.byref(summary)))
     layers = []
     for index in range(summary.num_layers):
         layer = native.ReportLayer()
-        native.check(library.quell_report_get_layer(pointer, index, C.byref(layer)))
+        native.check(library.quell_report_get_layer(pointer, index, native.byref(layer)))
         layers.append(
             LayerReport(
                 name=native.text(layer.full_name),

@@ -162,6 +162,8 @@ class ReportSummary(SizedStruct):
     ]
 
 
+byref = C.byref
+Index = C.c_uint32
 HANDLE = C.c_void_p  # quell_context *, quell_model *, quell_frame *, quell_report *
 
 # name: (result, arguments)
