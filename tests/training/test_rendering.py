@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("zstandard", reason="stored renders are compressed with it")
 
-from training import render  # noqa: E402
+from training import judge, render  # noqa: E402
 from training.assets import Texture, split_of  # noqa: E402
 from training.data.store import CHANNELS, pass_slice  # noqa: E402
 
@@ -66,59 +66,51 @@ def preview(light: np.ndarray, albedo: np.ndarray) -> np.ndarray:
     return out
 
 
-@pytest.fixture(scope="module")
-def frames():  # noqa: ANN201 - the module itself, which needs Blender to be imported
-    pytest.importorskip("bpy", reason="frames are judged inside Blender")
-    from training import frames
-
-    return frames
-
-
 def squares(size: int = 64) -> np.ndarray:
     y, x = np.mgrid[:size, :size]
     return np.where((x // 6 + y // 6) % 2, 0.8, 0.2)
 
 
-def test_regions_that_no_artist_would_render(frames) -> None:
+def test_regions_that_no_artist_would_render() -> None:
     plain, full = np.full((64, 64), 0.5), np.ones((64, 64))
-    assert frames.region_score(preview(squares(), squares()))[1] == ""
-    assert frames.region_score(preview(0.001 * full, squares()))[1] == "black"
-    assert frames.region_score(preview(100 * full, squares()))[1] == "burnt out"
-    assert frames.region_score(preview(plain, plain))[1] == "flat"
+    assert judge.region_score(preview(squares(), squares()))[1] == ""
+    assert judge.region_score(preview(0.001 * full, squares()))[1] == "black"
+    assert judge.region_score(preview(100 * full, squares()))[1] == "burnt out"
+    assert judge.region_score(preview(plain, plain))[1] == "flat"
     sky = preview(squares(), squares())
     sky[pass_slice("Depth")] = 0
-    assert frames.region_score(sky)[1] == "empty sky"
+    assert judge.region_score(sky)[1] == "empty sky"
     lamp = preview(squares(), squares())
     lamp[pass_slice("Emit")] = lamp[pass_slice("Combined")][:3]
-    assert frames.region_score(lamp)[1] == "all emission"
+    assert judge.region_score(lamp)[1] == "all emission"
 
 
-def test_busy_regions_are_preferred(frames) -> None:
+def test_busy_regions_are_preferred() -> None:
     rng = random.Random(1)
     picture = preview(np.full((120, 208), 0.5), np.full((120, 208), 0.5))
     picture[pass_slice("Denoising Albedo"), 60:, 104:] = np.tile(squares(), (1, 2))[:60, :104]
     picture[pass_slice("Combined"), 60:, 104:] = np.tile(squares(), (1, 2))[:60, :104]
-    region, reason = frames.choose_region(picture, (1280, 738), 256, rng)
+    region, reason = judge.choose_region(picture, (1280, 738), 256, rng)
     assert reason == ""
     x, y, w, h = region
     assert x + w > 640 and y + h > 369
 
 
-def test_whole_pictures_that_are_useless(frames) -> None:
+def test_whole_pictures_that_are_useless() -> None:
     good = preview(squares(), squares())
-    assert frames.whole_picture_fault(good) == ""
-    assert frames.whole_picture_fault(0 * good) == "nothing to see"
+    assert judge.whole_picture_fault(good) == ""
+    assert judge.whole_picture_fault(0 * good) == "nothing to see"
     unlit = good.copy()
     unlit[pass_slice("Combined")][:3, :, :48] = 0
-    assert frames.whole_picture_fault(unlit) == "hardly lit"
+    assert judge.whole_picture_fault(unlit) == "hardly lit"
     close = good.copy()
     close[pass_slice("Depth")] = 0.05
-    assert frames.whole_picture_fault(close) == "camera too close to something"
+    assert judge.whole_picture_fault(close) == "camera too close to something"
 
 
-def test_gain_reaches_the_brightness_asked_for(frames) -> None:
+def test_gain_reaches_the_brightness_asked_for() -> None:
     dim = preview(0.02 * np.ones((64, 64)), squares())
-    gain = frames.choose_gain(dim, 0.45)
-    assert float(frames.tone(np.full(1, 0.02 * gain))[0]) == pytest.approx(0.45, abs=0.04)
-    assert frames.choose_gain(dim, None) == 1.0
-    assert frames.choose_gain(1e-9 * dim, 0.45) is None
+    gain = judge.choose_gain(dim, 0.45)
+    assert float(judge.tone(np.full(1, 0.02 * gain))[0]) == pytest.approx(0.45, abs=0.04)
+    assert judge.choose_gain(dim, None) == 1.0
+    assert judge.choose_gain(1e-9 * dim, 0.45) is None

@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 
 import bpy
 
+from training.scenes import nodes
 from training.scenes.core import log_uniform
+from training.scenes.nodes import Color, rgba
 
-Color = tuple[float, float, float]
 Material = bpy.types.Material
-NodeTree = bpy.types.NodeTree
-Socket = bpy.types.NodeSocket
 
 
 def random_color(rng: random.Random, saturation: float = 0.6, value: float = 0.7) -> Color:
@@ -44,11 +43,6 @@ def mix_color(a: Color, b: Color, t: float) -> Color:
     return tuple(x + (y - x) * t for x, y in zip(a, b, strict=True))
 
 
-def rgba(color: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return a colour with alpha 1."""
-    return color[0], color[1], color[2], 1.0
-
-
 def new_material(name: str, **inputs: object) -> Material:
     """Return a Principled material; keywords are input names with _ for spaces."""
     material = bpy.data.materials.new(name)
@@ -64,91 +58,6 @@ def principled_of(material: Material) -> bpy.types.Node:
     return material.node_tree.nodes["Principled BSDF"]
 
 
-def coordinates(tree: NodeTree, rng: random.Random, scale: float, kind: str | None = None) -> Socket:
-    """Return texture coordinates turned at random; scale is features per metre."""
-    source = tree.nodes.new("ShaderNodeTexCoord")
-    mapping = tree.nodes.new("ShaderNodeMapping")
-    tree.links.new(source.outputs[kind or "Object"], mapping.inputs["Vector"])
-    mapping.inputs["Scale"].default_value = (scale,) * 3
-    mapping.inputs["Location"].default_value = [rng.uniform(-9, 9) for _ in range(3)]
-    if rng.random() < 0.4:
-        mapping.inputs["Rotation"].default_value = [rng.uniform(-3, 3) for _ in range(3)]
-    return mapping.outputs["Vector"]
-
-
-#: Bold patterns are rare: most surfaces are uneven rather than striped.
-_PATTERNS = ("noise",) * 6 + ("voronoi",) * 3 + ("cells", "wave", "checker", "brick", "rings", "magic")
-
-
-def pattern(tree: NodeTree, rng: random.Random, scale: float, kinds: Sequence[str] = ()) -> Socket:
-    """Return a value between about 0 and 1 from a random procedural texture."""
-    kind = rng.choice(kinds or _PATTERNS)
-    vector = coordinates(tree, rng, scale)
-    if kind == "noise":
-        node = tree.nodes.new("ShaderNodeTexNoise")
-        node.inputs["Scale"].default_value = 1.0
-        node.inputs["Detail"].default_value = rng.uniform(0, 9)
-        node.inputs["Roughness"].default_value = rng.uniform(0.3, 0.8)
-        node.inputs["Distortion"].default_value = rng.choice((0.0, 0.0, rng.uniform(0, 3)))
-        output = node.outputs["Fac"]
-    elif kind in ("voronoi", "cells"):
-        node = tree.nodes.new("ShaderNodeTexVoronoi")
-        node.feature = "DISTANCE_TO_EDGE" if kind == "cells" else "F1"
-        node.inputs["Scale"].default_value = 1.0
-        output = node.outputs["Distance"]
-    elif kind in ("wave", "rings"):
-        node = tree.nodes.new("ShaderNodeTexWave")
-        node.wave_type = "RINGS" if kind == "rings" else "BANDS"
-        node.wave_profile = rng.choice(("SIN", "SAW", "TRI"))
-        node.inputs["Scale"].default_value = 0.4
-        node.inputs["Distortion"].default_value = rng.uniform(0, 8)
-        node.inputs["Detail"].default_value = rng.uniform(0, 4)
-        output = node.outputs["Fac"]
-    elif kind == "checker":
-        node = tree.nodes.new("ShaderNodeTexChecker")
-        node.inputs["Scale"].default_value = 1.0
-        output = node.outputs["Fac"]
-    elif kind == "brick":
-        node = tree.nodes.new("ShaderNodeTexBrick")
-        node.inputs["Scale"].default_value = 1.0
-        node.inputs["Mortar Size"].default_value = rng.uniform(0.01, 0.06)
-        node.inputs["Color1"].default_value = rgba((1, 1, 1))
-        node.inputs["Color2"].default_value = rgba((0.5, 0.5, 0.5))
-        node.inputs["Mortar"].default_value = rgba((0, 0, 0))
-        output = node.outputs["Color"]
-    else:
-        node = tree.nodes.new("ShaderNodeTexMagic")
-        node.turbulence_depth = rng.randint(1, 5)
-        node.inputs["Scale"].default_value = 0.5
-        output = node.outputs["Fac"]
-    tree.links.new(vector, node.inputs["Vector"])
-    return output
-
-
-def ramp(tree: NodeTree, rng: random.Random, value: Socket, colors: Sequence[Color]) -> Socket:
-    """Return a colour picked along a ramp by a value; hard steps now and then."""
-    node = tree.nodes.new("ShaderNodeValToRGB")
-    node.color_ramp.interpolation = rng.choice(("LINEAR", "LINEAR", "EASE", "EASE", "CONSTANT"))
-    elements = node.color_ramp.elements
-    while len(elements) < len(colors):
-        elements.new(0.5)
-    low, high = sorted((rng.uniform(0.1, 0.5), rng.uniform(0.5, 0.9)))
-    for index, color in enumerate(colors):
-        elements[index].position = low + (high - low) * index / max(1, len(colors) - 1)
-        elements[index].color = rgba(color)
-    tree.links.new(value, node.inputs["Fac"])
-    return node.outputs["Color"]
-
-
-def map_range(tree: NodeTree, value: Socket, low: float, high: float) -> Socket:
-    """Return a 0..1 value stretched to another range."""
-    node = tree.nodes.new("ShaderNodeMapRange")
-    tree.links.new(value, node.inputs["Value"])
-    node.inputs["To Min"].default_value = low
-    node.inputs["To Max"].default_value = high
-    return node.outputs["Result"]
-
-
 def texture_color(
     material: Material,
     rng: random.Random,
@@ -158,11 +67,11 @@ def texture_color(
 ) -> Material:
     """Drive the base colour (and sometimes roughness) by a procedural pattern."""
     tree, shader = material.node_tree, principled_of(material)
-    value = pattern(tree, rng, scale or log_uniform(rng, 2, 60), kinds)
-    tree.links.new(ramp(tree, rng, value, colors), shader.inputs["Base Color"])
+    value = nodes.pattern(tree, rng, scale or log_uniform(rng, 2, 60), kinds)
+    tree.links.new(nodes.ramp(tree, rng, value, colors), shader.inputs["Base Color"])
     if rng.random() < 0.3:
         rough = shader.inputs["Roughness"].default_value
-        out = map_range(tree, value, max(0.02, rough - 0.2), min(1.0, rough + 0.25))
+        out = nodes.map_range(tree, value, max(0.02, rough - 0.2), min(1.0, rough + 0.25))
         tree.links.new(out, shader.inputs["Roughness"])
     return material
 
@@ -174,27 +83,9 @@ def add_bump(material: Material, rng: random.Random, scale: float | None = None,
     bump.inputs["Strength"].default_value = rng.uniform(0.1, 0.9)
     scale = scale or log_uniform(rng, 8, 200)
     bump.inputs["Distance"].default_value = 0.3 / scale
-    value = pattern(tree, rng, scale, kinds)
+    value = nodes.pattern(tree, rng, scale, kinds)
     tree.links.new(value, bump.inputs["Height"])
     tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])
-    return material
-
-
-def add_image(material: Material, rng: random.Random, image: bpy.types.Image, scale: float) -> Material:
-    """Project an image onto a surface from three sides; scale in repeats per metre."""
-    tree, shader = material.node_tree, principled_of(material)
-    node = tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    node.projection = "BOX"
-    node.projection_blend = 0.2
-    tree.links.new(coordinates(tree, random.Random(0), scale), node.inputs["Vector"])
-    tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
-    if rng.random() < 0.5:
-        bump = tree.nodes.new("ShaderNodeBump")
-        bump.inputs["Strength"].default_value = rng.uniform(0.1, 0.6)
-        bump.inputs["Distance"].default_value = 0.01
-        tree.links.new(node.outputs["Color"], bump.inputs["Height"])
-        tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])
     return material
 
 
@@ -248,9 +139,9 @@ def metal(rng: random.Random, color: Color | None = None) -> Material:
         brush(material, rng)
     elif rng.random() < 0.3:
         tree, shader = material.node_tree, principled_of(material)
-        value = pattern(tree, rng, log_uniform(rng, 5, 60), ("noise", "voronoi"))
+        value = nodes.pattern(tree, rng, log_uniform(rng, 5, 60), ("noise", "voronoi"))
         low = rng.uniform(0.03, 0.2)
-        tree.links.new(map_range(tree, value, low, low + 0.4), shader.inputs["Roughness"])
+        tree.links.new(nodes.map_range(tree, value, low, low + 0.4), shader.inputs["Roughness"])
     if rng.random() < 0.2:
         add_bump(material, rng)
     return material
@@ -271,7 +162,7 @@ def brush(material: Material, rng: random.Random) -> Material:
     tree.links.new(geometry.outputs["Normal"], cross.inputs[0])
     tree.links.new(cross.outputs["Vector"], shader.inputs["Tangent"])
     if rng.random() < 0.5:
-        vector = coordinates(tree, rng, 1.0)
+        vector = nodes.coordinates(tree, rng, 1.0)
         mapping = vector.node
         scale = [4.0, 4.0, 4.0]
         scale[rng.randrange(3)] = rng.uniform(200, 900)
@@ -279,7 +170,7 @@ def brush(material: Material, rng: random.Random) -> Material:
         noise = tree.nodes.new("ShaderNodeTexNoise")
         noise.inputs["Scale"].default_value = 1.0
         tree.links.new(vector, noise.inputs["Vector"])
-        tree.links.new(map_range(tree, noise.outputs["Fac"], 0.1, 0.5), shader.inputs["Roughness"])
+        tree.links.new(nodes.map_range(tree, noise.outputs["Fac"], 0.1, 0.5), shader.inputs["Roughness"])
     return material
 
 
@@ -371,7 +262,7 @@ def wood(rng: random.Random, color: Color | None = None) -> Material:
         Coat_Roughness=rng.uniform(0.02, 0.2),
     )
     tree, shader = material.node_tree, principled_of(material)
-    vector = coordinates(tree, rng, 1.0)
+    vector = nodes.coordinates(tree, rng, 1.0)
     scale = [rng.uniform(8, 30)] * 3
     scale[rng.randrange(2)] = rng.uniform(0.8, 3)
     vector.node.inputs["Scale"].default_value = scale
@@ -383,7 +274,7 @@ def wood(rng: random.Random, color: Color | None = None) -> Material:
     dark = mix_color(color, (0, 0, 0), rng.uniform(0.3, 0.7))
     light = mix_color(color, (1, 0.9, 0.7), rng.uniform(0.0, 0.25))
     value = noise.outputs["Fac"]
-    tree.links.new(ramp(tree, rng, value, (dark, color, light)), shader.inputs["Base Color"])
+    tree.links.new(nodes.ramp(tree, rng, value, (dark, color, light)), shader.inputs["Base Color"])
     if rng.random() < 0.4:
         bump = tree.nodes.new("ShaderNodeBump")
         bump.inputs["Strength"].default_value = rng.uniform(0.1, 0.5)
@@ -407,10 +298,10 @@ def tiles(rng: random.Random, scale: float | None = None) -> Material:
     node.inputs["Mortar Size"].default_value = rng.uniform(0.008, 0.03)
     node.inputs["Brick Width"].default_value = rng.choice((0.5, 1.0, 2.0))
     node.inputs["Row Height"].default_value = 0.5
-    tree.links.new(box_coordinates(tree, rng, scale or log_uniform(rng, 1.0, 8.0)), node.inputs["Vector"])
+    tree.links.new(nodes.box_coordinates(tree, rng, scale or log_uniform(rng, 1.0, 8.0)), node.inputs["Vector"])
     tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
     low = shader.inputs["Roughness"].default_value
-    tree.links.new(map_range(tree, node.outputs["Fac"], low, min(1.0, low + 0.5)), shader.inputs["Roughness"])
+    tree.links.new(nodes.map_range(tree, node.outputs["Fac"], low, min(1.0, low + 0.5)), shader.inputs["Roughness"])
     bump = tree.nodes.new("ShaderNodeBump")
     bump.invert = True
     bump.inputs["Strength"].default_value = rng.uniform(0.3, 1.0)
@@ -418,46 +309,6 @@ def tiles(rng: random.Random, scale: float | None = None) -> Material:
     tree.links.new(node.outputs["Fac"], bump.inputs["Height"])
     tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])
     return material
-
-
-def box_coordinates(tree: NodeTree, rng: random.Random, scale: float) -> Socket:
-    """Return flat coordinates that follow walls and floors alike.
-
-    Brick textures use x and y only; a plain object coordinate would smear them on
-    walls, so x becomes x + y and y becomes z wherever the surface is upright.
-    """
-    source = tree.nodes.new("ShaderNodeTexCoord")
-    geometry = tree.nodes.new("ShaderNodeNewGeometry")
-    split = tree.nodes.new("ShaderNodeSeparateXYZ")
-    normal = tree.nodes.new("ShaderNodeSeparateXYZ")
-    tree.links.new(source.outputs["Object"], split.inputs["Vector"])
-    tree.links.new(geometry.outputs["True Normal"], normal.inputs["Vector"])
-
-    def math_node(operation: str, a: Socket, b: Socket | float) -> Socket:
-        node = tree.nodes.new("ShaderNodeMath")
-        node.operation = operation
-        tree.links.new(a, node.inputs[0])
-        if isinstance(b, float):
-            node.inputs[1].default_value = b
-        else:
-            tree.links.new(b, node.inputs[1])
-        return node.outputs[0]
-
-    flat = math_node("GREATER_THAN", math_node("ABSOLUTE", normal.outputs["Z"], 0.0), 0.6)
-    upright = math_node("ADD", split.outputs["X"], split.outputs["Y"])
-    wall = tree.nodes.new("ShaderNodeCombineXYZ")
-    tree.links.new(upright, wall.inputs["X"])
-    tree.links.new(split.outputs["Z"], wall.inputs["Y"])
-    mix = tree.nodes.new("ShaderNodeMix")
-    mix.data_type = "VECTOR"
-    tree.links.new(flat, mix.inputs["Factor"])
-    tree.links.new(wall.outputs["Vector"], mix.inputs["A"])
-    tree.links.new(source.outputs["Object"], mix.inputs["B"])
-    mapping = tree.nodes.new("ShaderNodeMapping")
-    mapping.inputs["Scale"].default_value = (scale,) * 3
-    mapping.inputs["Location"].default_value = [rng.uniform(-9, 9) for _ in range(3)]
-    tree.links.new(mix.outputs["Result"], mapping.inputs["Vector"])
-    return mapping.outputs["Vector"]
 
 
 def film(rng: random.Random) -> Material:

@@ -10,6 +10,7 @@ import bpy
 
 from training import assets
 from training.scenes import materials as mat
+from training.scenes import nodes
 from training.scenes.core import Stage, log_uniform
 
 #: Start of a material's name -> kinds of pictures that suit it.
@@ -48,7 +49,7 @@ def dress(stage: Stage) -> None:
 
 
 def _picture_node(
-    tree: mat.NodeTree, path: str, vector: mat.Socket, colorspace: str = "sRGB"
+    tree: nodes.NodeTree, path: str, vector: nodes.Socket, colorspace: str = "sRGB"
 ) -> bpy.types.ShaderNodeTexImage:
     node = tree.nodes.new("ShaderNodeTexImage")
     node.image = bpy.data.images.load(path, check_existing=True)
@@ -64,7 +65,7 @@ def cover(material: bpy.types.Material, rng: random.Random, texture: assets.Text
     base = shader.inputs["Base Color"]
     own = tuple(base.default_value)[:3]
     scale = log_uniform(rng, 0.4, 2.0) if texture.kind in ("tile", "ground") else log_uniform(rng, 0.5, 6.0)
-    vector = mat.coordinates(tree, rng, scale)
+    vector = nodes.coordinates(tree, rng, scale)
     picture = _picture_node(tree, str(texture.path), vector)
     color = picture.outputs["Color"]
     # Grey pictures are meant to be tinted, and any other may be.
@@ -87,7 +88,7 @@ def cover(material: bpy.types.Material, rng: random.Random, texture: assets.Text
         tree.links.new(bump.outputs["Normal"], shader.inputs["Normal"])
     if rng.random() < 0.4 and not shader.inputs["Roughness"].is_linked:
         rough = shader.inputs["Roughness"].default_value
-        value = mat.map_range(tree, picture.outputs["Color"], min(1.0, rough + 0.25), max(0.03, rough - 0.25))
+        value = nodes.map_range(tree, picture.outputs["Color"], min(1.0, rough + 0.25), max(0.03, rough - 0.25))
         tree.links.new(value, shader.inputs["Roughness"])
 
 

@@ -7,7 +7,7 @@ import bmesh
 import bpy
 from mathutils import Vector, noise
 
-from training.scenes import lights, objects
+from training.scenes import lights, nodes, objects
 from training.scenes import materials as mat
 from training.scenes.core import ShotMaker, Stage, family, log_uniform, orbit
 from training.scenes.stilllife import arrange, candle
@@ -158,8 +158,8 @@ def mist(
     if stage.chance(0.2):
         volume.inputs["Color"].default_value = mat.rgba(mat.random_color(rng, 0.6, 0.9))
     if lumpy is not None:
-        value = mat.pattern(tree, rng, 1.0 / lumpy, ("noise",))
-        node = mat.map_range(tree, value, -density * 3, density * 4)
+        value = nodes.pattern(tree, rng, 1.0 / lumpy, ("noise",))
+        node = nodes.map_range(tree, value, -density * 3, density * 4)
         tree.links.new(node, volume.inputs["Density"])
     output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
     tree.links.new(volume.outputs[0], output.inputs["Volume"])
