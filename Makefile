@@ -147,6 +147,8 @@ DEVNAME := libquell.so
 endif
 CLI := $(OUT)/bin/quell$(EXE)
 OIIO_MODULE := $(OUT)/lib/quell/quell_oiio.so
+# Cross builds have no OpenImageIO, and do without pictures.
+PICTURES := $(if $(CROSS),,$(OIIO_MODULE))
 
 # tests/<folder>/test_*.c are programs; other .c files of the folder are linked into each of them.
 TEST_SOURCES := $(sort $(wildcard tests/*/test_*.c))
@@ -237,12 +239,13 @@ $(OBJ)/bench/%.o: EXTRA_FLAGS := -Ibench
 $(STATIC_LIB): $(LIB_OBJECTS)
 	$(call say,AR,$@)
 	@mkdir -p $(@D)
-	$(Q)rm -f $@ && $(AR) rcsD $@ $(LIB_OBJECTS)
+	$(Q)rm -f $@ && $(AR) rcs$(if $(filter darwin,$(PLATFORM)),,D) $@ $(LIB_OBJECTS)
 
 # The public names alone leave the library: by the list on Linux and macOS, by QUELL_API's dllexport on Windows.
 ifeq ($(PLATFORM),windows)
-SHARED_FLAGS := -Wl,--no-insert-timestamp -Wl,--out-implib,$(IMPORT_LIB) -Wl,--output-def,$(OUT)/lib/quell.def
-CLI_LINK := -municode -static -Wl,--no-insert-timestamp $(IMPORT_LIB)
+STRIP := $(if $(filter 1,$(DEBUG)),,-s) # nothing on Windows reads this compiler's debug information but its own gdb
+SHARED_FLAGS := $(STRIP) -Wl,--no-insert-timestamp -Wl,--out-implib,$(IMPORT_LIB) -Wl,--output-def,$(OUT)/lib/quell.def
+CLI_LINK := $(STRIP) -municode -static -Wl,--no-insert-timestamp $(IMPORT_LIB)
 else ifeq ($(PLATFORM),darwin)
 SHARED_FLAGS := -Wl,-install_name,@rpath/$(SONAME) -Wl,-exported_symbol,_quell_*
 CLI_LINK := -L$(OUT)/lib -lquell -Wl,-rpath,@loader_path/../lib
@@ -270,7 +273,8 @@ $(CLI): $(CLI_OBJECTS) $(SHARED_LIB)
 $(OIIO_MODULE): $(OIIO_OBJECTS)
 	$(call say,LINK,$@)
 	@mkdir -p $(@D)
-	$(Q)$(CXX) -shared -o $@ $(OIIO_OBJECTS) $(LINK_SAN) $(LDFLAGS) -Wl,-z,defs $$(pkg-config --libs OpenImageIO)
+	$(Q)$(CXX) -shared -o $@ $(OIIO_OBJECTS) $(LINK_SAN) $(LDFLAGS) $(if $(filter linux,$(PLATFORM)),-Wl$(comma)-z$(comma)defs) \
+		$$(pkg-config --libs OpenImageIO)
 
 .SECONDEXPANSION:
 # The kernels stand on src/base alone, so that cross builds test them without the rest.
@@ -305,12 +309,17 @@ $(VENV)/stamp-%: scripts/requirements-%.txt
 
 WHEEL := $(OUT)/wheel
 
+# This machine's platform is auditwheel's to name; Debian 12's cross compiler links against glibc 2.36.
+WHEEL_PLATFORM := $(if $(CROSS),$(if $(filter windows,$(PLATFORM)),win_amd64,manylinux_2_36_$(ARCH)))
+
 # The wheel, and beside it in site/ what installing it leaves, for tests.
 $(WHEEL)/stamp: $(SHARED_LIB) scripts/build_wheel.py $(wildcard python/* python/quell/*.py) $(VENV)/stamp-wheel
 	$(call say,WHEEL,quell)
 	$(Q)rm -rf $(WHEEL)
-	$(Q)$(PYTHON) scripts/build_wheel.py --library $(SHARED_LIB) --third-party $(OPENEXR)/LICENSES --out $(WHEEL) >/dev/null
-	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --target $(WHEEL)/site $(WHEEL)/*.whl
+	$(Q)$(PYTHON) scripts/build_wheel.py --library $(SHARED_LIB) $(WHEEL_PLATFORM:%=--platform %) \
+		--third-party $(OPENEXR)/LICENSES --out $(WHEEL) >/dev/null
+	$(Q)$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --only-binary=:all: \
+		$(WHEEL_PLATFORM:%=--platform %) --target $(WHEEL)/site $(WHEEL)/*.whl
 	@touch $@
 
 ADDON := $(OUT)/addon
@@ -330,7 +339,7 @@ all: lib cli
 lib: $(SHARED_LIB) $(STATIC_LIB)
 
 ## cli: the quell tool
-cli: $(CLI) $(if $(CROSS),,$(OIIO_MODULE))
+cli: $(CLI) $(PICTURES)
 
 ## wheel: the Python package with the library inside, build/<config>/wheel/*.whl
 wheel: $(WHEEL)/stamp
@@ -392,19 +401,18 @@ windows: deps-windows
 linux-arm64: deps-arm64
 	$(Q)+$(SUBMAKE) ARCH=aarch64 all
 
-## test-windows: the C tests, the tool's and the samples on the Windows build, under Wine; samples bit-equal to Linux
+## test-windows: the C tests, the tool and the samples on the Windows build under Wine; the same bits as on Linux
 test-windows: deps-test deps-windows
 	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test
-	$(Q)+$(SUBMAKE) PLATFORM=windows all c-tests
+	$(Q)+$(SUBMAKE) PLATFORM=windows all c-tests wheel windows-zip
 	$(Q)+$(MAKE) --no-print-directory PLATFORM=windows run-c-tests
-	$(Q)$(PYTHON) -m pytest tests/cross/test_windows.py $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(BUILD)/windows-release $(PYTHON) -m pytest tests/cross/test_windows.py $(PYTEST_FLAGS)
 
-## test-arm64: the C tests and a sample on the ARM build, under qemu; the sample bit-equal to this machine's C kernels
+## test-arm64: a sample on the ARM build under qemu, bit-equal to this machine's C kernels
 test-arm64: deps-test deps-arm64
 	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test
-	$(Q)+$(SUBMAKE) ARCH=aarch64 all c-tests
-	$(Q)+$(MAKE) --no-print-directory ARCH=aarch64 run-c-tests
-	$(Q)$(PYTHON) -m pytest tests/cross/test_arm64.py $(PYTEST_FLAGS)
+	$(Q)+$(SUBMAKE) ARCH=aarch64 all
+	$(Q)QUELL_BUILD=$(BUILD)/aarch64-release $(PYTHON) -m pytest tests/cross/test_arm64.py $(PYTEST_FLAGS)
 
 run-c-tests: $(TESTS)
 	$(Q)QUELL_TEST_RUNNER="$(RUN_TEST)" scripts/run_c_tests.sh $(TESTS)
@@ -443,7 +451,7 @@ install: all
 		$(DESTDIR)$(PREFIX)/share/doc/quell
 	$(Q)install -m 755 $(SHARED_LIB) $(DESTDIR)$(LIBDIR)/
 	$(Q)ln -sf $(notdir $(SHARED_LIB)) $(DESTDIR)$(LIBDIR)/$(SONAME)
-	$(Q)ln -sf $(SONAME) $(DESTDIR)$(LIBDIR)/libquell.so
+	$(Q)ln -sf $(SONAME) $(DESTDIR)$(LIBDIR)/$(DEVNAME)
 	$(Q)install -m 644 include/quell.h $(DESTDIR)$(INCLUDEDIR)/
 	$(Q)install -m 755 $(CLI) $(DESTDIR)$(BINDIR)/
 	$(Q)install -d $(DESTDIR)$(PREFIX)/lib/quell && install -m 755 $(OIIO_MODULE) $(DESTDIR)$(PREFIX)/lib/quell/
@@ -457,6 +465,24 @@ dist:
 	@mkdir -p $(BUILD)
 	$(Q)git archive --format=tar.gz --prefix=quell-$(VERSION)/ -o $(BUILD)/quell-$(VERSION).tar.gz HEAD
 	@echo $(BUILD)/quell-$(VERSION).tar.gz
+
+# What the mingw-w64 programs contain of others: OpenEXR and its codecs, cJSON, and mingw-w64's own run-time libraries.
+MINGW_LICENSE := /usr/share/doc/mingw-w64-x86-64-dev/copyright
+DIST_WINDOWS := quell-$(VERSION)-windows-x86_64
+
+## dist-windows: a zip with tool, library, header, import library and licences
+dist-windows: windows
+	$(Q)+$(SUBMAKE) PLATFORM=windows windows-zip
+
+windows-zip: all
+	$(Q)rm -rf $(OUT)/dist && mkdir -p $(OUT)/dist/$(DIST_WINDOWS)/LICENSES
+	$(Q)cp $(CLI) $(SHARED_LIB) include/quell.h $(IMPORT_LIB) $(OUT)/lib/quell.def LICENSE README.md docs/cli.md \
+		$(OUT)/dist/$(DIST_WINDOWS)/
+	$(Q)cp $(OPENEXR)/LICENSES/* $(OUT)/dist/$(DIST_WINDOWS)/LICENSES/
+	$(Q)cp $(CJSON)/LICENSE $(OUT)/dist/$(DIST_WINDOWS)/LICENSES/cJSON
+	$(Q)cp $(MINGW_LICENSE) $(OUT)/dist/$(DIST_WINDOWS)/LICENSES/mingw-w64
+	$(Q)cd $(OUT)/dist && cmake -E tar cf $(DIST_WINDOWS).zip --format=zip $(DIST_WINDOWS)
+	@echo $(OUT)/dist/$(DIST_WINDOWS).zip
 
 FORMATTED := $(wildcard include/*.h src/*/*.[ch] src/*/*.cpp tests/*/*.[ch] samples/*.c bench/*.c)
 
@@ -493,5 +519,5 @@ help:
 
 .PHONY: ablation all lib cli wheel addon c-tests run-c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
-	clean distclean windows linux-arm64 test-windows test-arm64 deps-windows deps-arm64 help FORCE
+	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:

@@ -3,7 +3,7 @@
 # build_debian_source.sh PACKAGE DEST - cross builds a small CMake project, static, from Debian's source package.
 #
 # For the C libraries that Debian ships for its own machines alone: cJSON, which the tool writes its reports with, and
-# cmocka, which the tests stand on. CMAKE_TOOLCHAIN_FILE says for which machine. Makes DEST/include and DEST/lib. The
+# cmocka, which the tests stand on. CMAKE_TOOLCHAIN_FILE says for which machine. Makes DEST/include, DEST/lib and DEST/LICENSE. The
 # system's package sources and lists stay as they are: apt-get gets some of its own under DEST.
 # Environment, optional: JOBS, parallel compile jobs (default: number of cores).
 set -eu
@@ -60,3 +60,4 @@ step "configuring $package with cmake" cmake -S "$work/source" -B "$work/build" 
 step "compiling $package" cmake --build "$work/build" -j "${JOBS:-$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2)}"
 rm -rf "$dest/include" "$dest/lib"
 step "installing $package" cmake --install "$work/build"
+cp "$work"/source/LICENSE "$dest/LICENSE" 2>/dev/null || cp "$work"/source/COPYING "$dest/LICENSE"

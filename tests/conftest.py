@@ -37,6 +37,7 @@ class Quell:
         assert self.program.exists(), f"{self.program} is missing: run make"
 
     def __call__(self, *args: object, timeout: float = 120, **keywords: object) -> subprocess.CompletedProcess[str]:
+        timeout *= 10 if self.emulator else 1
         command = [*self.emulator, str(self.program), *map(str, args)]
         return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, **keywords)
 
@@ -72,6 +73,26 @@ def data() -> Path:
 @pytest.fixture(scope="session")
 def quell() -> Quell:
     return Quell(build_folder())
+
+
+@pytest.fixture(scope="session")
+def native() -> Quell:
+    """This machine's own build, where `quell` may be one for another machine."""
+    build = build_folder()
+    return Quell(build.parent / build.name.removeprefix("windows-").removeprefix("aarch64-"))
+
+
+@pytest.fixture
+def own_process(quell: Quell) -> None:
+    """For tests that handle the tool's process as POSIX has it: signals, limits, terminals, files of /dev."""
+    if quell.emulator:
+        pytest.skip("an emulator stands between")
+
+
+@pytest.fixture
+def pictures(quell: Quell) -> None:
+    if quell.emulator:
+        pytest.skip("cross builds have no OpenImageIO")
 
 
 def write_exr(path: Path, layers: dict[str, np.ndarray]) -> Path:

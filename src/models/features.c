@@ -2,6 +2,7 @@
 /* Feature planes: tone-mapped light, squashed colours, guides. Order as in training/features.py: make_features. */
 #include "models/features.h"
 
+#include "base/log2.h"
 #include "frame/roles.h"
 
 #include <math.h>
@@ -33,7 +34,7 @@ void ql_make_flags(const ql_feature_setup *setup, float flags[QL_NUM_FLAGS])
     flags[1] = (float)setup->has_albedo;
     flags[2] = (float)setup->has_normal;
     flags[3] = (float)setup->has_depth;
-    flags[4] = setup->samples ? (float)log2((double)setup->samples) / 8.0f : 0.0f;
+    flags[4] = setup->samples ? ql_log2f((float)setup->samples) / 8.0f : 0.0f;
     flags[5] = setup->samples ? 1.0f : 0.0f;
 }
 

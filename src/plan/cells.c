@@ -2,6 +2,8 @@
 /* Shares of blocks, active cells, and rectangles round them. */
 #include "plan/cells.h"
 
+#include "base/log2.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -26,7 +28,7 @@ float ql_plan_trust(float samples, float quiet_variance)
 {
     if (quiet_variance * samples > QUIET_SAMPLE_VARIANCE) samples = QUIET_SAMPLE_VARIANCE / quiet_variance;
     if (!(samples > TRAINED_SAMPLES)) return 1.0f;
-    return 1.0f - ramp(log2f(samples), log2f(TRAINED_SAMPLES), log2f(FINISHED_SAMPLES));
+    return 1.0f - ramp(ql_log2f(samples), ql_log2f(TRAINED_SAMPLES), ql_log2f(FINISHED_SAMPLES));
 }
 
 float ql_plan_share(float variance, float samples)

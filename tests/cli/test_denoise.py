@@ -250,6 +250,7 @@ def test_one_bad_file_does_not_stop_the_others(quell, data, tmp_path):
     assert result.returncode == 1  # different reasons
 
 
+@pytest.mark.usefixtures("own_process")
 def test_valgrind_finds_nothing(quell, data, tmp_path):
     if not shutil.which("valgrind"):
         pytest.skip("valgrind is not installed")

@@ -137,6 +137,7 @@ def test_full_disk(quell, data, tmp_path):
         subprocess.run(["umount", disk], check=True)
 
 
+@pytest.mark.usefixtures("own_process")
 def test_file_size_limit(quell, data, out):
     """The same path as a full disk, without root."""
 
@@ -194,6 +195,7 @@ def slow_job(tmp_path: Path, exr_writer) -> list[str]:
     return ["denoise", str(path), "--cpu", "c", "--threads", "1"]
 
 
+@pytest.mark.usefixtures("own_process")
 def test_interrupt(quell, out, tmp_path, exr_writer):
     arguments = slow_job(tmp_path, exr_writer)
     process = subprocess.Popen([quell.program, *arguments, "-o", out], stderr=subprocess.PIPE, text=True)
@@ -206,6 +208,7 @@ def test_interrupt(quell, out, tmp_path, exr_writer):
     assert_untouched(out)
 
 
+@pytest.mark.usefixtures("own_process")
 def test_progress_bar_on_a_terminal(quell, data, tmp_path):
     leader, follower = pty.openpty()
     subprocess.run(
@@ -221,6 +224,7 @@ def test_progress_bar_on_a_terminal(quell, data, tmp_path):
     assert "[---" in shown and "100 %" in shown and shown.endswith("\r\x1b[K")
 
 
+@pytest.mark.usefixtures("own_process")
 def test_broken_standard_output(quell, data):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
@@ -233,6 +237,7 @@ def test_broken_standard_output(quell, data):
     assert done.returncode == 6 and "standard output" in done.stderr
 
 
+@pytest.mark.usefixtures("own_process")
 def test_no_permission(quell, data, tmp_path):
     if os.getuid() == 0:
         pytest.skip("root may write everywhere")

@@ -88,6 +88,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(z <= 0.0031308, 12.92 * z, 1.055 * z ** (1 / 2.4) - 0.055)
 
 
+@pytest.mark.usefixtures("pictures")
 @pytest.mark.parametrize("exposure", [0.0, -1.5, 3.0])
 def test_preview_pixels(quell, data, tmp_path, exr_reader, exposure):
     out = tmp_path / "x.png"
@@ -99,6 +100,7 @@ def test_preview_pixels(quell, data, tmp_path, exr_reader, exposure):
     assert np.abs(picture - 255 * srgb(linear * 2.0**exposure)).max() <= 0.5001
 
 
+@pytest.mark.usefixtures("pictures")
 def test_preview_sheet(quell, data, tmp_path):
     out = tmp_path / "x.png"
     quell.ok(
@@ -111,6 +113,7 @@ def test_preview_sheet(quell, data, tmp_path):
     assert Image.open(tmp_path / "x.jpg").format == "JPEG"
 
 
+@pytest.mark.usefixtures("pictures")
 def test_preview_refuses_what_it_cannot_write(quell, data, tmp_path):
     assert "x.nothing" in quell.fails(6, "preview", data / "50_all.exr", "-o", tmp_path / "x.nothing")
     assert "crop" in quell.fails(8, "preview", data / "50_all.exr", "-o", tmp_path / "x.png", "--crop", "50x8+0+0")
