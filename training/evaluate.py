@@ -59,9 +59,9 @@ def run_method(run: str, light: bool) -> Method:
         with_environment, error = closure(pair.layers)
         inputs = torch.from_numpy(select_passes(stack_passes(pair.layers), with_environment))[None]
         has_light = light and np.isfinite(error)
-        start = time.perf_counter()
+        start = time.process_time()
         result = denoise_frame(model, to_layers(inputs, has_light), to_guides(inputs), pair.spp)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         image = result.combined if has_light and error < CLOSURE_TOLERANCE else result.direct
         return {"Combined": image[0].numpy().transpose(1, 2, 0)}, seconds
 
@@ -73,9 +73,9 @@ def peer_method(setting: str, threads: int) -> Method:
 
     def denoise(pair: Pair) -> tuple[Layers, float]:
         images = [pair.layers[name][..., :3] for name in ("Combined", "Denoising Albedo", "Denoising Normal")]
-        start = time.perf_counter()
+        start = time.process_time()
         out = peer.denoise(*images, setting, threads)
-        return {"Combined": out}, time.perf_counter() - start
+        return {"Combined": out}, time.process_time() - start
 
     return denoise
 
@@ -88,13 +88,13 @@ def peer_passes_method(setting: str, threads: int) -> Method:
         colors = {n: layers[n] for n in (f"{p}Col" for p in LIGHT) if n in layers}
         skip = {"Combined", *colors, *GUIDES}
         lights = {n: x[..., :3] for n, x in layers.items() if n not in skip}
-        start = time.perf_counter()
+        start = time.process_time()
         out = peer.denoise_passes(
             lights, colors, layers["Denoising Albedo"], layers["Denoising Normal"], setting, threads
         )
         if error < CLOSURE_TOLERANCE:
             out["Combined"] = recombine(out, with_environment)
-        return out, time.perf_counter() - start
+        return out, time.process_time() - start
 
     return denoise
 

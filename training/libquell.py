@@ -150,7 +150,7 @@ def _view(pixels: np.ndarray) -> _Image:
 def denoise(
     model: str, layers: Mapping[str, np.ndarray], spp: int, threads: int = 0
 ) -> tuple[dict[str, np.ndarray], float]:
-    """Denoise named layers [h,w,c]; return them all, filtered or not, and the seconds of the call.
+    """Denoise named layers [h,w,c]; return them all, filtered or not, and the CPU seconds of the call.
 
     model: a weight file, or the name of a built-in one; spp 0 where it is unknown; threads 0 for all cores.
     """
@@ -170,9 +170,9 @@ def denoise(
             )
             _check(context, status)
         _check(context, call.quell_frame_set_samples(frame, spp))
-        start = time.perf_counter()
+        start = time.process_time()
         _check(context, call.quell_denoise(context, opened, frame, None, None))
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
     return out, seconds
 
 

@@ -21,14 +21,14 @@ _SHOWN = ("noisy", "OIDN high/accurate")
 
 @dataclass(frozen=True)
 class Row:
-    """Scores of one layer of one frame by one method; seconds are those of the whole call, per megapixel."""
+    """Scores of one layer of one frame by one method; CPU seconds (all threads) are those of the whole call."""
 
     frame: str
     spp: int
     method: str
     layer: str
     scores: Scores
-    seconds_per_megapixel: float
+    cpu_seconds_per_megapixel: float
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Summary:
     ssim: float
     gmsd: float
     flip: float
-    seconds_per_megapixel: float
+    cpu_seconds_per_megapixel: float
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -54,9 +54,9 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
     names = [f.name for f in fields(Scores)]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["frame", "spp", "method", "layer", *names, "seconds_per_megapixel"])
+        writer.writerow(["frame", "spp", "method", "layer", *names, "cpu_seconds_per_megapixel"])
         for row in rows:
-            values = [f"{v:.6g}" for v in (*astuple(row.scores), row.seconds_per_megapixel)]
+            values = [f"{v:.6g}" for v in (*astuple(row.scores), row.cpu_seconds_per_megapixel)]
             writer.writerow([row.frame, row.spp, row.method, row.layer, *values])
 
 
@@ -85,7 +85,7 @@ def summarise(rows: Sequence[Row]) -> list[Summary]:
                 mean("ssim"),
                 mean("gmsd"),
                 mean("flip"),
-                float(np.mean([r.seconds_per_megapixel for r in members])),
+                float(np.mean([r.cpu_seconds_per_megapixel for r in members])),
             )
         )
     return sorted(out, key=lambda s: (s.spp, s.layer != "Combined", s.layer))
@@ -108,7 +108,7 @@ def table(summary: Sequence[Summary]) -> str:
             lines.append(
                 f"{line.spp:4d} spp  {line.method:34s} relMSE {line.rel_mse:.5f}  worst {line.worst:.5f}"
                 f"  PSNR {line.psnr:5.2f}  SSIM {line.ssim:.4f}  GMSD {line.gmsd:.4f}  FLIP {line.flip:.4f}"
-                f"  {line.seconds_per_megapixel:6.2f} s/MP  ({line.frames} frames)"
+                f"  {line.cpu_seconds_per_megapixel:6.2f} CPU s/MP  ({line.frames} frames)"
             )
         else:
             lines.append(
@@ -118,7 +118,7 @@ def table(summary: Sequence[Summary]) -> str:
 
 
 def plot_error_against_time(path: Path, summary: Sequence[Summary]) -> None:
-    """Plot relMSE of Combined against seconds per megapixel, one panel per sample count."""
+    """Plot relMSE of Combined against CPU seconds per megapixel, one panel per sample count."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -133,8 +133,8 @@ def plot_error_against_time(path: Path, summary: Sequence[Summary]) -> None:
             if line.method == "noisy":
                 panel.axhline(line.rel_mse, color="grey", linestyle=":", label="noisy")
             else:
-                panel.plot(line.seconds_per_megapixel, line.rel_mse, "o", label=line.method)
-        panel.set(xscale="log", yscale="log", xlabel="s per megapixel", title=f"{spp} spp")
+                panel.plot(line.cpu_seconds_per_megapixel, line.rel_mse, "o", label=line.method)
+        panel.set(xscale="log", yscale="log", xlabel="CPU s per megapixel", title=f"{spp} spp")
     panels[0][0].set_ylabel("relMSE of Combined, geometric mean")
     panels[0][-1].legend(fontsize=7)
     figure.tight_layout()
@@ -179,7 +179,9 @@ class Gallery:
         shown = {m: self._images[*frame, m] for m in order if (*frame, m) in self._images} | {"reference": reference}
         y, x = worst_window(shown[self._subject], reference, _CROP)
         side = _CROP * _ZOOM
-        strip = Image.new("RGB", (side * len(shown), 2 * side + 14))
+        height, width = reference.shape[:2]
+        low = round(side * min(1.0, height / width))
+        strip = Image.new("RGB", (side * len(shown), side + low + 14))
         draw = ImageDraw.Draw(strip)
         for index, (method, image) in enumerate(shown.items()):
             whole = picture(image)
