@@ -368,10 +368,14 @@ test-blender test-blender-all: deps-blender
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests/blender $(PYTEST_FLAGS)
 
 ## test-long: the tests, and again under the address, undefined-behaviour and thread sanitizers
-test-long: test
+test-long: test stress
 	$(Q)+$(SUBMAKE) asan
 	$(Q)+$(SUBMAKE) ubsan
 	$(Q)+$(SUBMAKE) tsan
+
+## stress: numerical stability over the whole grid of sizes, bad values, exposures and missing passes, as a table
+stress: $(OUT)/tests/stress/test_stress
+	$(Q)QUELL_STRESS=all $<
 
 ## asan: the C tests, and the tool's, under the address sanitizer
 asan: SANITIZER := address
@@ -517,7 +521,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: ablation all lib cli wheel addon c-tests run-c-tests check test test-long asan ubsan tsan qemu cross-check demo benches bench-peers \
+.PHONY: ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:
