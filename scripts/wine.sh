@@ -18,7 +18,8 @@ find_tool() { # find_tool NAME...: the first that there is, in PATH or in Debian
 
 wine=$(find_tool wine64 wine)
 server=$(find_tool wineserver64 wineserver)
-# A server that stays for a minute spares the next program its start. Where one runs already, this does nothing.
+# A server that stays for a minute spares the next program its start. Where one runs already, this does nothing. It must
+# not hold on to the output: whoever reads that would wait for the minute to pass.
 mkdir -p "$WINEPREFIX"
-"$server" -p60 2>/dev/null || true
+"$server" -p60 </dev/null >/dev/null 2>&1 || true
 exec "$wine" "$@"
