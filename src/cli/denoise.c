@@ -30,6 +30,7 @@ static const char help_text[] =
     "      --codec CODEC     for parts that are encoded again: keep (default; lossy ones become zip), none, rle, "
     "zips,\n"
     "                        zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k\n"
+    "      --dry-run         say what would be done and how much memory it needs; writes nothing, and needs no -o\n"
     "      --report FILE     what was done and skipped, and why, as JSON; '-': standard output\n"
     "      --threads N       default: one for each core\n"
     "      --max-memory MB   working memory beyond the image itself; smaller means smaller tiles; default 4096\n"
@@ -61,13 +62,14 @@ enum {
     OPT_ITERATE,
     OPT_RUN_ALL,
     OPT_NO_SKIP,
-    OPT_NO_BLEND
+    OPT_NO_BLEND,
+    OPT_DRY_RUN
 };
 
 typedef struct denoise_args {
     cli_common common;
     const char *output, *layers, *report;
-    int is_overwriting;
+    int is_overwriting, is_dry;
     uint32_t flags; /* QUELL_DENOISE_* */
     int32_t codec;
     uint32_t tile_size;
@@ -128,6 +130,7 @@ static int own_option(denoise_args *args, int code, const char *argument)
     case 'l': args->layers = argument; return 0;
     case OPT_OVERWRITE: args->is_overwriting = 1; return 0;
     case OPT_KEEP_NOISY: args->flags |= QUELL_DENOISE_KEEP_NOISY; return 0;
+    case OPT_DRY_RUN: args->is_dry = 1; return 0;
     case OPT_NO_SKIP: args->flags |= QUELL_DENOISE_NO_SKIP; return 0;
     case OPT_NO_BLEND: args->flags |= QUELL_DENOISE_NO_BLEND; return 0;
     case OPT_REPORT: args->report = argument; return 0;
@@ -162,6 +165,7 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         {"overwrite", no_argument, NULL, OPT_OVERWRITE},
         {"keep-noisy", no_argument, NULL, OPT_KEEP_NOISY},
         {"no-skip", no_argument, NULL, OPT_NO_SKIP},
+        {"dry-run", no_argument, NULL, OPT_DRY_RUN},
         {"no-blend", no_argument, NULL, OPT_NO_BLEND},
         {"codec", required_argument, NULL, OPT_CODEC},
         {"report", required_argument, NULL, OPT_REPORT},
@@ -185,6 +189,7 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
     args->inputs = argv + optind;
     args->num_inputs = argc - optind;
     if (args->num_inputs == 0) return cli_usage_error("denoise", "no input file");
+    if (args->is_dry) return 0;
     if (!args->output || !args->output[0]) return cli_usage_error("denoise", "no output: say where with -o");
     return 0;
 }
@@ -277,6 +282,7 @@ static quell_status denoise_frame(quell_context *ctx, const quell_model *model, 
     if (args->has_dgan_options) options.dgan = &dgan;
     options.progress = cli_progress_update;
     options.progress_user = progress;
+    if (args->is_dry) return quell_plan(ctx, model, frame, &options, report);
     return quell_denoise(ctx, model, frame, &options, report);
 }
 
@@ -298,7 +304,7 @@ static int denoise_file(quell_context *ctx, const quell_model *model, const deno
     const double denoised = now();
     result->seconds_denoise = denoised - read;
 
-    if (status == QUELL_OK) {
+    if (status == QUELL_OK && !args->is_dry) {
         quell_write_options options = {.struct_size = sizeof options, .codec = args->codec};
         status = quell_frame_write_exr(ctx, frame, args->outputs[index], &options);
         result->seconds_write = now() - denoised;
@@ -328,6 +334,24 @@ static layer_counts count_layers(const quell_report *report)
     return counts;
 }
 
+static void print_plan(const denoise_args *args, int index, const file_result *result)
+{
+    quell_report_summary summary = {.struct_size = sizeof summary};
+    quell_report_layer layer = {.struct_size = sizeof layer};
+    if (quell_report_get_summary(result->report, &summary) != QUELL_OK) return;
+    printf("%s: would compute %u of %u cells in %u %s of up to %u x %u pixels, with %.1f MB of working memory\n",
+           args->inputs[index], summary.num_active_cells, summary.num_cells, summary.num_tiles,
+           summary.num_tiles == 1 ? "tile" : "tiles", summary.tile_width, summary.tile_height,
+           (double)summary.peak_bytes / 1048576.0);
+    for (uint32_t i = 0; quell_report_get_layer(result->report, i, &layer) == QUELL_OK; i++) {
+        printf("  %-8s %s", cli_action_name(layer.action), layer.full_name);
+        if (layer.action == QUELL_ACTION_DENOISED) printf(", noise %.1f %%", 100.0 * layer.noise);
+        if (layer.reason && layer.reason[0]) printf(" (%s)", layer.reason);
+        putchar('\n');
+    }
+    fflush(stdout);
+}
+
 static void print_summary(const denoise_args *args, int index, const file_result *result)
 {
     const layer_counts counts = count_layers(result->report);
@@ -345,7 +369,7 @@ static cJSON *file_json(const denoise_args *args, int index, const file_result *
     cJSON *json = cJSON_CreateObject();
     if (!json) return NULL;
     cJSON_AddStringToObject(json, "input", args->inputs[index]);
-    cJSON_AddStringToObject(json, "output", args->outputs[index]);
+    if (args->outputs) cJSON_AddStringToObject(json, "output", args->outputs[index]);
     cJSON_AddNumberToObject(json, "exit_code", code);
     if (!result->report) return json;
 
@@ -375,7 +399,7 @@ static int run(quell_context *ctx, const quell_model *model, const denoise_args 
         const int one = denoise_file(ctx, model, args, i, &result);
         /* Standard output is the report's when it goes there. */
         const int prints = !args->common.is_quiet && !(args->report && strcmp(args->report, "-") == 0);
-        if (one == CLI_EXIT_OK && prints) print_summary(args, i, &result);
+        if (one == CLI_EXIT_OK && prints) (args->is_dry ? print_plan : print_summary)(args, i, &result);
         if (files) cJSON_AddItemToArray(files, file_json(args, i, &result, one));
         quell_report_destroy(result.report);
         if (cli_is_interrupted()) return cli_interrupt_code();
@@ -405,7 +429,7 @@ int cli_denoise(int argc, char **argv)
 
     quell_context *ctx = NULL;
     quell_model *model = NULL;
-    code = name_outputs(&args);
+    code = args.is_dry ? CLI_EXIT_OK : name_outputs(&args);
     if (code == CLI_EXIT_OK) code = cli_context_create(&args.common, &ctx);
     if (code == CLI_EXIT_OK) {
         const quell_status status = quell_model_open(ctx, args.common.model, &model);
