@@ -4,9 +4,9 @@
 
 Usage: python bench/series.py --series FOLDER [--quell PROGRAM] [--csv FILE] [-- OPTION...]
 
-FOLDER is what bench/make_series.py made. Options behind -- go to `quell denoise`. Errors are relMSE against the sample's
-two references, whose own noise cancels; change is the RMS of output - input, both relative to the mean of the references
-as in relMSE and in the display's range after z / (1 + z), of which 1 is white.
+FOLDER is what bench/make_series.py made. Options behind -- go to `quell denoise`. Errors are relMSE against the
+sample's two references, whose own noise cancels; change is the RMS of output - input, both relative to the mean of the
+references as in relMSE and in the display's range after z / (1 + z), of which 1 is white.
 """
 
 from __future__ import annotations
