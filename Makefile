@@ -405,12 +405,12 @@ windows: deps-windows
 linux-arm64: deps-arm64
 	$(Q)+$(SUBMAKE) ARCH=aarch64 all
 
-## test-windows: the C tests, the tool and the samples on the Windows build under Wine; the same bits as on Linux
+## test-windows: the C tests, the tool's and the samples on the Windows build under Wine; the same bits as on Linux
 test-windows: deps-test deps-windows
 	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test
 	$(Q)+$(SUBMAKE) PLATFORM=windows all c-tests wheel windows-zip
 	$(Q)+$(MAKE) --no-print-directory PLATFORM=windows run-c-tests
-	$(Q)QUELL_BUILD=$(BUILD)/windows-release $(PYTHON) -m pytest tests/cross/test_windows.py $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(BUILD)/windows-release $(PYTHON) -m pytest tests/cross/test_windows.py tests/cli $(PYTEST_FLAGS)
 
 ## test-arm64: a sample on the ARM build under qemu, bit-equal to this machine's C kernels
 test-arm64: deps-test deps-arm64
