@@ -54,11 +54,15 @@ def head_section(results: Results) -> str:
 Written by `bench/report.py` from the CSVs under `bench/results/`; `make bench-peers` makes both (an hour on two cores),
 `make bench-quick` a small part in two minutes, under `build/bench/`.
 
-Machine: {facts["machine"]}, {results.threads} threads, kernels `{facts["kernels"]}`; revision {facts["revision"]}.
+Machine: {facts["machine"]}, {threads_text(results)}, kernels `{facts["kernels"]}`; revision {facts["revision"]}.
 Open Image Denoise (OIDN) is 2.5.1 from PyPI, run as Blender runs it; its settings are named *quality/prefilter* as
 in Blender, whose default is High/Accurate. Both sides take turns, run by run, on the same pictures; times are
-medians.
+medians. A section that has no CSV yet is left out.
 """
+
+
+def threads_text(results: Results) -> str:
+    return f"{results.threads} {'thread' if results.threads == 1 else 'threads'}"
 
 
 def verdict(results: Results, method: str) -> str:
@@ -93,7 +97,7 @@ def error_section(results: Results, out: Path) -> str:
             [
                 method,
                 number(results.seconds(method)),
-                number(results.seconds(method, 1)),
+                *([number(results.seconds(method, 1))] if results.threads > 1 else []),
                 number(float(timed["macs_per_pixel"])) if (timed := results.timed(method)) else "",
                 *(number(results.error(method, spp), 3) for spp in results.spps),
                 number(results.error(method, first, "psnr"), 3),
@@ -101,7 +105,8 @@ def error_section(results: Results, out: Path) -> str:
                 number(results.error(method, first, "flip"), 3),
             ]
         )
-    columns = ["method", f"s, {results.threads} threads", "s, 1 thread", "multiply-adds per pixel"]
+    columns = ["method", f"s, {threads_text(results)}", *(["s, 1 thread"] if results.threads > 1 else [])]
+    columns += ["multiply-adds per pixel"]
     columns += [f"relMSE {spp} spp" for spp in results.spps]
     columns += [f"PSNR {first} spp", f"SSIM {first} spp", f"FLIP {first} spp"]
     verdicts = "\n".join(verdict(results, m) for m in results.methods if is_ours(m))
