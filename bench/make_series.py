@@ -6,8 +6,8 @@ Usage: python bench/make_series.py --out FOLDER [--max-spp N] [NAME...]
 
 Needs Blender as a module (bpy), of the version that the sample names: 4.5 for living_room, 5.0 for still_life and
 house. A crop covers the same pixels as in the sample, so the sample's two references serve it too; bench/series.py
-measures. Each file has its own seed. A scene takes some 15 minutes on two idle cores up to 1024 samples, four times that
-up to 4096; files that are there already are kept.
+measures. Each file has its own seed. A scene takes some 15 minutes on two idle cores up to 1024 samples, four times
+that up to 4096; files that are there already are kept.
 """
 
 from __future__ import annotations
