@@ -127,9 +127,18 @@ def test_codecs(windows, native, data, tmp_path, codec):
     assert_same_output(windows, native, tmp_path, data / "45_plain.exr", "--codec", codec)
 
 
-@pytest.mark.parametrize("name", ["50_all", "45_dwaa", "45_b44", "52_htj2k", "50_pxr24", "45_stereo"])
+@pytest.mark.parametrize("name", ["50_all", "45_b44", "52_htj2k", "50_pxr24", "45_stereo"])
 def test_fixtures(windows, native, data, tmp_path, name):
     assert_same_output(windows, native, tmp_path, data / f"{name}.exr")
+
+
+def test_lossy_dwa_decodes_to_rounding(windows, native, data, tmp_path):
+    """OpenEXR's DWA decoder has other vector code on Windows: values of its input may differ in the last bit of a half."""
+    ours, theirs = tmp_path / "linux.exr", tmp_path / "windows.exr"
+    native.ok("denoise", data / "45_dwaa.exr", "-q", "-o", ours)
+    windows.ok("denoise", data / "45_dwaa.exr", "-q", "-o", theirs)
+    layers = json.loads(native.ok("compare", theirs, ours, "--json").stdout)["layers"]
+    assert layers and all(layer["rel_mse"] < 1e-6 for layer in layers)
 
 
 def test_comparing(windows, native, data):
