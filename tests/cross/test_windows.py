@@ -133,7 +133,7 @@ def test_fixtures(windows, native, data, tmp_path, name):
 
 
 def test_lossy_dwa_decodes_to_rounding(windows, native, data, tmp_path):
-    """OpenEXR's DWA decoder has other vector code on Windows: values of its input may differ in the last bit of a half."""
+    """OpenEXR's DWA decoder has other vector code on Windows: a value may differ in the last bit of a half."""
     ours, theirs = tmp_path / "linux.exr", tmp_path / "windows.exr"
     native.ok("denoise", data / "45_dwaa.exr", "-q", "-o", ours)
     windows.ok("denoise", data / "45_dwaa.exr", "-q", "-o", theirs)
