@@ -356,16 +356,16 @@ check: syntax run-c-tests
 ## test: install what tests need, build, and run every test
 test: deps-test
 	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) addon $(VENV)/stamp-test
-	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender --ignore=tests/cross $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender --ignore=tests/farm --ignore=tests/cross $(PYTEST_FLAGS)
 
-## test-blender: the add-on in Debian's Blender and in a few modules from PyPI (1 GB each, into build/blender)
+## test-blender: the add-on in Debian's Blender and a few of PyPI's (1 GB each, into build/blender); the farm samples
 test-blender: BLENDERS ?= 4.2 5.0 5.2
 ## test-blender-all: the same in every version that there is
 test-blender-all: BLENDERS ?= 4.2 4.3 4.4 4.5 5.0 5.1 5.2
 test-blender test-blender-all: deps-blender
-	$(Q)+$(SUBMAKE) cli addon $(VENV)/stamp-test
+	$(Q)+$(SUBMAKE) cli addon $(VENV)/stamp-test $(VENV)/stamp-farm
 	$(Q)scripts/install_blenders.sh $(BUILD)/blender $(BLENDERS)
-	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests/blender $(PYTEST_FLAGS)
+	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests/blender tests/farm $(PYTEST_FLAGS)
 
 ## test-long: the tests, and again under the address, undefined-behaviour and thread sanitizers
 test-long: test stress

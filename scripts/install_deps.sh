@@ -12,8 +12,12 @@ case $what in
 build) ;;
 demo | bench) packages="$packages openimageio-tools" ;;
 test) packages="$packages openimageio-tools libcmocka-dev valgrind gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
-# The window tests draw in software on a screen that is not there. Debian's OpenEXR is the other one in the process.
-blender) packages="$packages blender python3-numpy libopenexr-3-1-30 xvfb libgl1-mesa-dri xdotool" ;;
+# The window tests draw in software on a screen that is not there; Debian's OpenEXR is the other one in the process; a
+# Slurm of one node and a JavaScript engine try the farm samples.
+blender)
+    packages="$packages blender python3-numpy libopenexr-3-1-30 xvfb libgl1-mesa-dri xdotool"
+    packages="$packages munge slurmctld slurmd slurm-client nodejs"
+    ;;
 windows) packages="$packages g++-mingw-w64-x86-64-posix wine64" ;;
 arm64) packages="$packages g++-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
 *)
