@@ -364,8 +364,22 @@ test-blender: BLENDERS ?= 4.2 5.0 5.2
 test-blender-all: BLENDERS ?= 4.2 4.3 4.4 4.5 5.0 5.1 5.2
 test-blender test-blender-all: deps-blender
 	$(Q)+$(SUBMAKE) cli addon $(VENV)/stamp-test $(VENV)/stamp-farm
+	$(Q)+$(SUBMAKE) types
 	$(Q)scripts/install_blenders.sh $(BUILD)/blender $(BLENDERS)
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests/blender tests/farm $(PYTEST_FLAGS)
+
+TYPES := $(BUILD)/types
+
+## types: the add-on against the types of the oldest and the newest Blender
+types: $(TYPES)/stamp
+	$(Q)for version in $(BPY_TYPES); do echo "bpy $$version"; \
+		MYPYPATH=$(TYPES)/$$version $(PYTHON) -m mypy --cache-dir=$(TYPES)/cache-$$version blender_addon || exit 1; done
+
+BPY_TYPES := 3-4 5-2
+$(TYPES)/stamp: $(VENV)/stamp-types
+	$(Q)for version in $(BPY_TYPES); do $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --upgrade \
+		--target $(TYPES)/$$version "fake-bpy-module-$$version" || exit 1; done
+	@touch $@
 
 ## test-long: the tests, and again under the address, undefined-behaviour and thread sanitizers
 test-long: test stress
@@ -521,7 +535,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench-peers \
+.PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:

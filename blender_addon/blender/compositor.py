@@ -44,6 +44,7 @@ def has_denoise_node(scene: bpy.types.Scene) -> bool:
 def use_result(scene: bpy.types.Scene, image: bpy.types.Image) -> int:
     """Returns how many links come from the image now, those of an earlier call included. Raises Problem."""
     tree = node_tree(scene, create=True)
+    assert tree is not None
     _ = tuple(image.size)  # loads it: only then does it know its layers
     num_links = 0
     for node in [node for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"]:

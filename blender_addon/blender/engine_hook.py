@@ -12,6 +12,7 @@ Seen to hold in 3.4 and 4.2 to 5.2; where problem() names something that is miss
 from __future__ import annotations
 
 import contextlib
+import functools
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -218,8 +219,8 @@ def _layers(result: bpy.types.RenderResult, rendering: _Rendering) -> list[memor
                 memory.RenderPass(
                     name=render_pass.name,
                     num_channels=render_pass.channels,
-                    read=lambda p=render_pass: _read(p, size),
-                    write=lambda pixels, p=render_pass: _write(p, pixels),
+                    read=functools.partial(_read, render_pass, size),
+                    write=functools.partial(_write, render_pass),
                 )
                 for render_pass in layer.passes
                 if render_pass.view_id == view_id
@@ -231,7 +232,7 @@ def _layers(result: bpy.types.RenderResult, rendering: _Rendering) -> list[memor
                     samples=facts.samples,
                     is_denoised=facts.is_denoised,
                     passes=passes,
-                    fill=lambda name, pixels, layer=layer, view_id=view_id: _fill(layer, view_id, name, pixels),
+                    fill=functools.partial(_fill, layer, view_id),
                 )
             )
     return layers

@@ -34,7 +34,7 @@ class QUELL_OT_toggle_before(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         space = context.space_data
         picture = other_picture(space.image)
-        if picture == "BEFORE":
+        if picture == "BEFORE" and state.before is not None:
             space.image = images.from_pixels(images.BEFORE, state.before)
         elif picture == "RESULT":
             space.image = bpy.data.images.get(images.RESULT_PICTURE) or bpy.data.images[images.RESULT]

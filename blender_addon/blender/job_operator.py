@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -15,11 +15,11 @@ from . import state
 POLL_SECONDS = 0.1
 
 
-class JobOperator:
+class JobOperator(bpy.types.Operator if TYPE_CHECKING else object):  # type: ignore[misc]
     """Mix-in. prepare() runs on the main thread and returns the work; finish() gets its result, there again."""
 
-    _job: Job | None = None
-    _timer: bpy.types.Timer | None = None
+    _job: Job  # set by _begin
+    _timer: bpy.types.Timer
 
     def prepare(self, context: bpy.types.Context) -> Callable[[Callable[[float], bool]], Any]:
         """Raises library.Problem."""
@@ -86,7 +86,6 @@ class JobOperator:
         except (library.Problem, library.quell().QuellError, OSError) as error:
             self._fail(str(error))
         finally:
-            self._job = None
             self.clean_up()
         return {"CANCELLED"}
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .library import Problem, already_denoised, quell, roles
 from .outcome import Outcome
@@ -95,8 +95,8 @@ def _is_worth(layer: RenderLayer, outcome: Outcome) -> bool:
 
 
 def _denoise(
-    context: object,
-    model: object,
+    context: Any,
+    model: Any,
     layer: RenderLayer,
     size: tuple[int, int],
     settings: Settings,

@@ -24,12 +24,12 @@ import scene as test_scene  # noqa: E402
 
 _arguments = sys.argv[sys.argv.index("--") + 1 :]
 ADDON_ZIP, WORK = map(Path, _arguments[:2])
-SIZE = (640, 480) if "pictures" in _arguments else (160, 120)
+SIZE = (480, 360) if "pictures" in _arguments else (160, 120)
 # Where 3.4 draws the sidebar's tab "Quell" in a window of 1280x800: before 4.2 only the mouse can choose a tab.
 TAB = (930, 285)
 MODULE = "bl_ext.user_default.quell" if bpy.app.version >= (4, 2, 0) else "quell_denoiser"
 WAIT = 0.2
-PATIENCE = 120.0
+PATIENCE = 300.0
 
 found: dict[str, object] = {}
 
