@@ -74,6 +74,11 @@ static uint32_t ring_iterations(const quell_dgan_options *options)
     return options->iterate == QUELL_ITERATE_FILTER ? options->iterations : 1;
 }
 
+static int stops_early(const quell_dgan_options *options)
+{
+    return options->iterate == QUELL_ITERATE_NETWORK && !(options->flags & QUELL_DGAN_RUN_ALL);
+}
+
 static uint64_t bytes_needed(const ql_dgan_job *job, ql_env *env, uint32_t band_rows)
 {
     const uint32_t width = job->frame->width, height = job->frame->height;
@@ -87,7 +92,9 @@ static uint64_t bytes_needed(const ql_dgan_job *job, ql_env *env, uint32_t band_
     if (job->options.parts != QUELL_DGAN_GENERATOR)
         kernels = ql_kpn_band_bytes(&job->net->kpn, width, band_rows, ql_pool_num_threads(env->pool)) +
                   ql_wide_ring_bytes(width, height, ring_iterations(&job->options));
-    return 2 * ql_wide_planes_bytes(width, height, planes) + (generator > kernels ? generator : kernels);
+    uint64_t estimate = 0; /* two luminances, and what GMSD takes of each quarter */
+    if (stops_early(&job->options)) estimate = (uint64_t)width * height * (2 * sizeof(float) + 6) + (1 << 16);
+    return 2 * ql_wide_planes_bytes(width, height, planes) + estimate + (generator > kernels ? generator : kernels);
 }
 
 quell_status ql_dgan_choose_bands(ql_dgan_job *job, ql_env *env, uint32_t tile_size, uint64_t max_bytes,
@@ -246,8 +253,12 @@ static quell_status run_kernels(batch *b)
     const ql_wide_source source = {b, prepare, give_logits};
     const double start = ql_clock_seconds();
     b->seconds_prepare = 0.0;
+    /* Only now: the generator's maps are gone. */
+    QL_TRY(ql_kpn_band_create(&b->band, &b->job->net->kpn, b->env, b->image.width, b->image.height, b->job->band_rows,
+                              b->err));
     const quell_status status =
         ql_wide_run(b->job->kernels, b->env, &source, ring_iterations(&b->job->options), &b->image, &b->other, b->err);
+    ql_kpn_band_destroy(&b->band, b->env->memory);
     b->job->seconds_network += b->seconds_prepare;
     b->job->seconds_filter += ql_clock_seconds() - start - b->seconds_prepare;
     return status;
@@ -328,14 +339,10 @@ static quell_status run_batch(batch *b, uint32_t num_rounds, int stops, uint32_t
     ql_memory *const memory = b->env->memory;
     QL_TRY(ql_wide_planes_create(&b->image, width, height, b->num_planes, memory, b->err));
     quell_status status = read_planes(b);
-    if (status == QUELL_OK && b->job->options.parts != QUELL_DGAN_GENERATOR) {
+    if (status == QUELL_OK && b->job->options.parts != QUELL_DGAN_GENERATOR)
         status = ql_wide_planes_create(&b->other, width, height, b->num_planes, memory, b->err);
-        if (status == QUELL_OK)
-            status = ql_kpn_band_create(&b->band, &b->job->net->kpn, b->env, width, height, b->job->band_rows, b->err);
-    }
     if (status == QUELL_OK) status = run_rounds(b, num_rounds, stops, num_run);
     if (status == QUELL_OK) write_planes(b);
-    ql_kpn_band_destroy(&b->band, memory);
     ql_wide_planes_destroy(&b->image, memory);
     ql_wide_planes_destroy(&b->other, memory);
     return status;
@@ -345,7 +352,7 @@ quell_status ql_dgan_run_set(ql_dgan_job *job, ql_env *env, uint32_t set, ql_err
 {
     const quell_dgan_options *const options = &job->options;
     const int by_network = options->iterate == QUELL_ITERATE_NETWORK;
-    int stops = by_network && !(options->flags & QUELL_DGAN_RUN_ALL);
+    int stops = stops_early(options);
     uint32_t num_rounds = by_network ? options->iterations : 1, num_run = 0;
     const double from = env->progress_from, to = env->progress_to;
     ql_auxiliary auxiliary;

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -76,4 +78,29 @@ def test_wrong_switches(quell, frame, model, tmp_path, switches):
 def test_switches_need_a_model_of_that_kind(quell, frame, tmp_path):
     line = quell.fails(2, "denoise", frame, "-o", tmp_path / "out.exr", "--kpn-only")
     assert "DGAN-KPN" in line
+    assert not (tmp_path / "out.exr").exists()
+
+
+@pytest.mark.parametrize(
+    ("record", "value"),
+    [
+        ("config.kpn", 24),
+        ("config.kpn", -16),
+        ("config.kpn", 32),  # allowed, but the layers are not that wide
+        ("config.generator.widths", 1 << 30),
+        ("config.generator.decoder", 8),
+        ("config.generator.blocks", 9),
+        ("config.generator.blocks", 3),  # one more than there are
+    ],
+)
+def test_weight_files_that_make_no_network(quell, frame, model, tmp_path, record, value):
+    data = bytearray(model[1].read_bytes())
+    entry = data.index(record.encode() + b"\0")
+    (offset,) = struct.unpack_from("<Q", data, entry + 72)
+    struct.pack_into("<i", data, offset, value)
+    data[-32:] = hashlib.sha256(data[:-32]).digest()
+    bad = tmp_path / "bad.qwt"
+    bad.write_bytes(data)
+    line = quell.fails(7, "denoise", frame, "-o", tmp_path / "out.exr", "--model", bad)
+    assert "bad.qwt" in line
     assert not (tmp_path / "out.exr").exists()

@@ -85,6 +85,7 @@ class Score:
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
     seconds_per_megapixel: float = math.nan
     peak_megabytes: float = math.nan
+    iterations: float = math.nan  # that were run, mean over the samples
 
     def geometric(self, key: str) -> float:
         return math.exp(float(np.mean([math.log(max(e[key], 1e-8)) for e in self.errors.values()])))
@@ -157,14 +158,16 @@ class Bench:
     def score_tool(self, name: str, *switches: object, timed: bool = True) -> Score:
         """Denoises every sample with the tool."""
         out = self.folder_of(name)
-        self.run("denoise", *(s.noisy for s in self.samples), "-o", out, "--overwrite", "-q", *switches)
+        report = self.folder / "report.json"
+        inputs = [s.noisy for s in self.samples]
+        self.run("denoise", *inputs, "-o", out, "--overwrite", "-q", "--report", report, *switches)
         score = self.score_folder(name, out)
+        files = json.loads(report.read_text())["files"]
+        score.iterations = float(np.mean([file["summary"].get("iterations", math.nan) for file in files]))
         if timed:
-            report, target = self.folder / "report.json", self.folder / "timed_out.exr"
-            common = ("-o", target, "-q", "--threads", "1", "--report", report, *switches)
-            _, seconds = self.run("denoise", self.timed_frame(), *common)
+            common = ("-o", self.folder / "timed_out.exr", "-q", "--threads", "1", *switches)
             _, start = self.run("denoise", self.timed_frame(8), *common)  # what starting and loading cost
-            self.run("denoise", self.timed_frame(), *common)
+            _, seconds = self.run("denoise", self.timed_frame(), *common, "--report", report)
             summary = json.loads(report.read_text())["files"][0]["summary"]
             score.seconds_per_megapixel = (seconds - start) / (TIMED_SIZE**2 / 1e6)
             score.peak_megabytes = float(summary["peak_bytes"]) / 1e6
@@ -238,18 +241,25 @@ def score_peer(bench: Bench, setting: str) -> Score:
     return bench.score_folder(name, out)
 
 
+def shown(value: float, digits: int) -> str:
+    return "" if math.isnan(value) else f"{value:.{digits}f}"
+
+
 def table(scores: Sequence[Score]) -> str:
-    lines = [
-        "| method | relMSE, geometric mean | worst | PSNR dB | SSIM | CPU s per megapixel | working memory MB |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    head = ("method", "relMSE, geometric mean", "worst", "PSNR dB", "SSIM", "iterations", "CPU s per megapixel", "MB")
+    lines = ["| " + " | ".join(head) + " |", "| --- |" + " --- |" * (len(head) - 1)]
     for s in scores:
-        cost = (f"{s.seconds_per_megapixel:.2f}", f"{s.peak_megabytes:.0f}")
-        shown = ["" if c == "nan" else c for c in cost]
-        errors = (
-            f"{s.geometric('rel_mse'):.4f} | {s.worst('rel_mse'):.3f} | {s.mean('psnr'):.2f} | {s.mean('ssim'):.4f}"
+        cells = (
+            s.name,
+            f"{s.geometric('rel_mse'):.4f}",
+            f"{s.worst('rel_mse'):.3f}",
+            f"{s.mean('psnr'):.2f}",
+            f"{s.mean('ssim'):.4f}",
+            shown(s.iterations, 1),
+            shown(s.seconds_per_megapixel, 2),
+            shown(s.peak_megabytes, 0),
         )
-        lines.append(f"| {s.name} | {errors} | {shown[0]} | {shown[1]} |")
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

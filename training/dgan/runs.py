@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trainings behind the released weights and docs/ablation.md, in order; what is finished is left alone.
 
-    python -m training.dgan.runs                 # all of them: about four minutes of one core
+    python -m training.dgan.runs                 # all of them: about three minutes of one core
     python -m training.dgan.runs --only kpn,generator
 
-The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. Four minutes of one core allow 1 to 23
+The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. Three minutes of one core allow at most 23
 epochs of crops of the frames at hand, so the rate is raised with the shortening: 1e-3 for kernel predictors, 5e-4 for
 the generator and its discriminators, 3e-4 in phase 2.
 """
@@ -21,8 +21,8 @@ from training.dgan.train import TrainConfig, train
 #: Weight of eq. 9 beside eq. 6 in phase 1 of the generator: as 0.09 stands to 0.003 in eq. 10.
 TONE_BESIDE_GAN = 30.0
 PHASE_1 = ("dgan/kpn", "dgan/generator")
-SHORT = 25  # steps of phase 2 where one loss is compared with another
-SHORT_GENERATOR = 60
+SHORT = 12  # steps of phase 2 where one loss is compared with another
+SHORT_GENERATOR = 30
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ def phase_2(steps: int, factors: LossFactors | None = None) -> TrainConfig:
 RUNS = (
     Run("dgan/kpn", settings("kpn", 64, 2000, 1e-3)),
     Run("dgan/generator", settings("dgan", 64, 400, 5e-4, phase_1_tone=TONE_BESIDE_GAN)),
-    Run("dgan/joint", phase_2(150), PHASE_1),
-    Run("dgan/kpcn", settings("kpcn", 48, 250, 1e-3)),
+    Run("dgan/joint", phase_2(110), PHASE_1),
+    Run("dgan/kpcn", settings("kpcn", 48, 120, 1e-3)),
     Run("dgan/short", phase_2(SHORT), PHASE_1),
     Run("dgan/short-no-tone", phase_2(SHORT, LossFactors(tone=0.0)), PHASE_1),
     Run("dgan/short-no-gan", phase_2(SHORT, LossFactors(adversarial=0.0)), PHASE_1),
