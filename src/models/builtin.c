@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Puts weights/quell-balanced.qwt into the library's read-only data, so that one file is all that an add-on ships. */
+/* Puts the weight files into the library's read-only data, so that one file is all that an add-on ships. */
 #include "models/builtin.h"
 
 #ifndef QL_WEIGHTS_DIR
@@ -17,20 +17,26 @@
 #define SYMBOL(name) name
 #endif
 
-__asm__(SECTION ".balign 64\n"
-                ".globl " SYMBOL("ql_balanced_begin") "\n"
-                                                      ".globl " SYMBOL("ql_balanced_end") "\n" SYMBOL(
-                                                          "ql_balanced_begin") ":\n"
-                                                                               ".incbin \"" QL_WEIGHTS_DIR
-                                                                               "/quell-balanced.qwt\"\n" SYMBOL(
-                                                                                   "ql_balanced_end") ":\n"
-                                                                                                      ".byte 0\n"
-                                                                                                      ".text\n");
+/* clang-format off */
+#define EMBED(symbol, file)                                                                                            \
+    __asm__(SECTION ".balign 64\n"                                                                                     \
+            ".globl " SYMBOL(symbol "_begin") "\n"                                                                     \
+            ".globl " SYMBOL(symbol "_end") "\n"                                                                       \
+            SYMBOL(symbol "_begin") ":\n"                                                                              \
+            ".incbin \"" QL_WEIGHTS_DIR "/" file "\"\n"                                                                \
+            SYMBOL(symbol "_end") ":\n"                                                                                \
+            ".byte 0\n"                                                                                                \
+            ".text\n")
+/* clang-format on */
 
-extern const uint8_t ql_balanced_begin[], ql_balanced_end[];
+EMBED("ql_balanced", "quell-balanced.qwt");
+EMBED("ql_dgan_kpn", "dgan-kpn.qwt");
+
+extern const uint8_t ql_balanced_begin[], ql_balanced_end[], ql_dgan_kpn_begin[], ql_dgan_kpn_end[];
 
 const ql_builtin *ql_builtin_get(uint32_t index)
 {
-    static const ql_builtin builtins[] = {{"quell-balanced", ql_balanced_begin, ql_balanced_end}};
+    static const ql_builtin builtins[] = {{"quell-balanced", ql_balanced_begin, ql_balanced_end},
+                                          {"dgan-kpn", ql_dgan_kpn_begin, ql_dgan_kpn_end}};
     return index < sizeof builtins / sizeof *builtins ? &builtins[index] : NULL;
 }

@@ -3,8 +3,9 @@
 
     python -m training.dgan.ablation --quell build/release/bin/quell
 
-`make ablation` does that. The runs of training/dgan/runs.py must be there. Errors are those of `quell compare` with two
-references; time is CPU time per megapixel on one thread, over a 512x512 frame; memory is the report's peak.
+`make ablation` does that. Runs of training/dgan/runs.py that are not there are named below their table. Errors are
+those of `quell compare` with two references; time is CPU time per megapixel on one thread, over a 512x512 frame; memory
+is the report's peak.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from training.train import run_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "ablation.md"
-PICTURE = ROOT / "docs" / "images" / "ablation.png"
+PICTURE = ROOT / "docs" / "images" / "ablation.jpg"
 SPP = 4
 TIMED_SIZE = 512
 #: Name in the table -> run whose weights it has, switches of the tool.
@@ -276,7 +277,7 @@ def training_table() -> str:
     """Steps and crops of every run, from what the runs recorded."""
     lines = ["| run | steps | crop | frames | first rate |", "| --- | --- | --- | --- | --- |"]
     names = {run for run, _ in (*VARIANTS.values(), *SHORT_VARIANTS.values()) if run != "phase-1"} | {"dgan/kpcn"}
-    for name in sorted(names):
+    for name in sorted(filter(is_trained, names)):
         saved = json.loads((run_folder(name) / "config.json").read_text())
         config, step = saved["config"], read_checkpoint(name)["step"]
         crop = config["data"]["crop"]
@@ -304,43 +305,65 @@ def picture(bench: Bench) -> None:
     for scene in SHOWN_SCENES:
         sample = next(s for s in bench.samples if s.scene == scene)
         row = []
-        for name in SHOWN:
+        for name in filter(lambda n: n == "noisy" or any(bench.folder_of(n).iterdir()), SHOWN):
             row.append(pixels(sample.noisy if name == "noisy" else bench.folder_of(name) / sample.noisy.name))
         row.append(pixels(sample.references[0]))
         rows.append(np.concatenate([r[:144, :192] for r in row], axis=1))
     PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.concatenate(rows)).save(PICTURE, optimize=True)
+    Image.fromarray(np.concatenate(rows)).save(PICTURE, quality=90)
+
+
+def is_trained(run: str) -> bool:
+    return run == "phase-1" or (run_folder(run) / "checkpoint.pt").exists()
+
+
+def score_variants(bench: Bench, variants: dict[str, tuple[str, tuple[str, ...]]], timed: bool) -> list[Score]:
+    return [
+        bench.score_tool(name, "--model", bench.weights(run), *switches, timed=timed)
+        for name, (run, switches) in variants.items()
+        if is_trained(run)
+    ]
+
+
+def with_missing(content: str, runs: Sequence[str]) -> str:
+    """A table, and a line about the runs that it lacks."""
+    missing = sorted({run for run in runs if not is_trained(run)})
+    return content + (f"\n\nNot trained yet: {', '.join(missing)}." if missing else "")
+
+
+def measure_parts(bench: Bench) -> dict[str, str]:
+    """The tables of parts and of scenes; makes the picture too."""
+    noisy = Score("noisy input", {s.scene: bench.compare(s.noisy, s) for s in bench.samples})
+    parts = score_variants(bench, VARIANTS, timed=True)
+    kpcn = [score_kpcn(bench)] if is_trained("dgan/kpcn") else []
+    peers = [score_peer(bench, setting) for setting in ("fast/fast", "high/accurate")]
+    own = bench.score_tool("quell, all passes", timed=False)
+    by_scene = [noisy, *(s for s in parts if s.name in SHOWN), *kpcn, peers[-1]]
+    picture(bench)
+    runs = [*(run for run, _ in VARIANTS.values()), "dgan/kpcn"]
+    return {
+        "parts": with_missing(table([noisy, *parts, *kpcn, *peers, own]), runs),
+        "scenes": scene_table(by_scene),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quell", type=Path, required=True)
+    parser.add_argument("--losses", action="store_true", help="only the tables of losses and of trainings")
     args = parser.parse_args()
     bench = Bench(args.quell.resolve(), state_root() / "ablation")
-    noisy = Score("noisy input", {s.scene: bench.compare(s.noisy, s) for s in bench.samples})
-    main_scores = [
-        bench.score_tool(name, "--model", bench.weights(run), *switches) for name, (run, switches) in VARIANTS.items()
-    ]
-    short = [
-        bench.score_tool(name, "--model", bench.weights(run), *switches, timed=False)
-        for name, (run, switches) in SHORT_VARIANTS.items()
-    ]
-    kpcn = score_kpcn(bench)
-    peers = [score_peer(bench, setting) for setting in ("fast/fast", "high/accurate")]
-    own = bench.score_tool("quell, all passes", timed=False)
-    text = DOCUMENT.read_text()
-    by_name = {s.name: s for s in main_scores}
-    chosen = [noisy, by_name["DGAN alone"], by_name["KPN alone, 4 iterations"]]
-    chosen += [by_name["both, 4 iterations (published)"], kpcn, peers[1]]
-    for name, content in {
-        "parts": table([noisy, *main_scores, kpcn, *peers, own]),
-        "losses": table(short),
-        "scenes": scene_table(chosen),
+    short = score_variants(bench, SHORT_VARIANTS, timed=False)
+    sections = {
+        "losses": with_missing(table(short), [run for run, _ in SHORT_VARIANTS.values()]),
         "trainings": training_table(),
-    }.items():
+    }
+    if not args.losses:
+        sections |= measure_parts(bench)
+    text = DOCUMENT.read_text()
+    for name, content in sections.items():
         text = replace_section(text, name, content)
     DOCUMENT.write_text(text)
-    picture(bench)
 
 
 if __name__ == "__main__":
