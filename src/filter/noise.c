@@ -34,21 +34,25 @@ uint32_t ql_noise_blocks(uint32_t pixels)
 }
 
 /* A half to a quarter of the median block's brightness. A power of two found by counting exponents, so that radiance
- * times 2^n gives exactly 2^n times as much. */
-static float choose_floor(const ql_scan *scan)
+ * times 2^n gives exactly 2^n times as much. Blocks with a firefly say nothing: the bins are means before any is limited. */
+static float choose_floor(const ql_scan *scan, uint32_t across, uint8_t *has_firefly)
 {
     uint32_t counts[NUM_EXPONENTS] = {0};
     uint64_t total = 0, below = 0;
+    memset(has_firefly, 0, scan->num_bins);
+    for (uint64_t i = 0; i < scan->num_fixes; ++i)
+        has_firefly[(size_t)(scan->fixes[i].y / BLOCK) * across + scan->fixes[i].x / BLOCK] = 1;
     for (size_t i = 0; i < scan->num_bins; ++i) {
         int exponent;
         const float value = fabsf(scan->bins[i]);
-        if (!(value > 0.0f) || !isfinite(value)) continue;
+        if (!(value > 0.0f) || !isfinite(value) || has_firefly[i]) continue;
         frexpf(value, &exponent);
         ++counts[exponent + EXPONENT_BIAS];
         ++total;
     }
+    if (total == 0) return FLT_MIN; /* each block by its own brightness alone */
     int median = 0;
-    for (int e = 0; e < NUM_EXPONENTS && total > 0; ++e) {
+    for (int e = 0; e < NUM_EXPONENTS; ++e) {
         below += counts[e];
         if (2 * below < total) continue;
         median = e - EXPONENT_BIAS;
@@ -249,11 +253,14 @@ quell_status ql_noise_measure(ql_env *env, const ql_layer *layer, const ql_scan 
     *noise = (ql_noise){.across = job.across, .down = job.down};
     noise->variance = ql_alloc(env->memory, num, sizeof(float));
     noise->scale = job.scale = ql_alloc(env->memory, num, sizeof(float));
-    job.floor = choose_floor(scan);
-    if (noise->variance == NULL || noise->scale == NULL)
+    uint8_t *const has_firefly = ql_alloc(env->memory, scan->num_bins, sizeof *has_firefly);
+    if (noise->variance == NULL || noise->scale == NULL || has_firefly == NULL) {
         ql_fail(err, status, "%s: out of memory: noise estimate", layer->full_name);
-    else
+    } else {
+        job.floor = choose_floor(scan, job.across, has_firefly);
         status = run(&job, env, noise->variance, NULL, err);
+    }
+    ql_free(env->memory, has_firefly);
     if (status == QUELL_OK)
         noise->level = level_of(noise->variance, num);
     else

@@ -79,7 +79,9 @@ static void measure(fixture *f, uint32_t width, uint32_t height, uint32_t num_th
     f->env = (ql_env){.memory = &f->memory, .pool = f->pool, .progress_to = 1.0};
     f->layer = (ql_layer){.full_name = (char *)"layer", .role = QUELL_ROLE_COMBINED, .num_channels = 3};
     f->layer.pixels = (ql_view){(uint8_t *)f->pixels, QUELL_FORMAT_FLOAT, 3, 4, 12, 12 * (int64_t)width};
-    assert_int_equal(ql_scan_layer(&f->env, &f->layer, NULL, 3, width, height, QL_SCAN_BINS, &f->scan, &err), QUELL_OK);
+    assert_int_equal(
+        ql_scan_layer(&f->env, &f->layer, NULL, 3, width, height, QL_SCAN_BINS | QL_SCAN_LIMIT, &f->scan, &err),
+        QUELL_OK);
     assert_int_equal(ql_noise_measure(&f->env, &f->layer, &f->scan, 3, width, height, &f->noise, &err), QUELL_OK);
 }
 
@@ -159,6 +161,19 @@ static void test_bad_pixels_are_no_noise(void **state)
     f.pixels[(30 * W + 33) * 3 + 1] = INFINITY;
     measure(&f, W, H, 2);
     assert_true(f.noise.level < 1e-3);
+    release(&f);
+}
+
+/* Fireflies in most blocks once raised the floor so far that all else looked clean. */
+static void test_fireflies_hide_no_noise(void **state)
+{
+    (void)state;
+    fixture f;
+    fill(&f, flat, 0.2f, 1.0f);
+    for (size_t i = 0; i < (size_t)W * H; i += 97) f.pixels[i * 3] = f.pixels[i * 3 + 1] = f.pixels[i * 3 + 2] = 1e6f;
+    measure(&f, W, H, 2);
+    assert_true(f.scan.num_limited > 0);
+    for (size_t i = 0; i < BLOCKS; ++i) assert_true(f.noise.variance[i] > 0.01f);
     release(&f);
 }
 
@@ -288,6 +303,7 @@ int main(void)
         cmocka_unit_test(test_exposure_and_threads_change_no_bit),
         cmocka_unit_test(test_thin_images),
         cmocka_unit_test(test_bad_pixels_are_no_noise),
+        cmocka_unit_test(test_fireflies_hide_no_noise),
         cmocka_unit_test(test_blend),
         cmocka_unit_test(test_shares),
         cmocka_unit_test(test_rectangles),
