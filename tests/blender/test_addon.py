@@ -179,3 +179,16 @@ def test_blenders_are_there():
     from conftest import BLENDERS
 
     assert BLENDERS, f"no Blender: run {ROOT / 'scripts'}/install_deps.sh blender"
+
+
+def test_blenders_own_validation(blender, addon):
+    """`blender --command extension validate`, by the program that is behind it."""
+    if blender.command[0] == "blender":
+        pytest.skip("the executable's program is not at a known place")
+    modules = Path(blender.command[0]).parents[1] / "lib"
+    programs = sorted(modules.glob("python*/site-packages/bpy/**/bl_pkg/cli/blender_ext.py"))
+    assert programs, f"no validation program below {modules}"
+    done = subprocess.run(
+        [blender.command[0], str(programs[0]), "validate", str(addon)], capture_output=True, text=True
+    )
+    assert done.returncode == 0 and "Success" in done.stdout, done.stdout + done.stderr
