@@ -78,6 +78,12 @@ def load_run(name: str) -> tuple[Quell, int]:
     return model, state["step"]
 
 
+def average(model: Quell, checkpoint: Path) -> None:
+    """Replaces the model by its mean with an earlier checkpoint of the same run: a wider average than the run's own."""
+    other = torch.load(checkpoint, weights_only=True)["ema"]
+    model.load_state_dict({name: 0.5 * (value + other[name]) for name, value in model.state_dict().items()})
+
+
 def round_to_half(model: Quell) -> Quell:
     """The model as the file holds it."""
     with torch.no_grad():
@@ -106,8 +112,11 @@ def main() -> None:
     parser.add_argument("--run", required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--name", required=True)
+    parser.add_argument("--average", type=Path, help="an earlier checkpoint of the run to take the mean with")
     args = parser.parse_args()
     model, step = load_run(args.run)
+    if args.average:
+        average(model, args.average)
     sha = export(model, args.out, args.name, f"kernel pyramid network, {step} training steps")
     print(f"{args.out}: {args.out.stat().st_size} bytes, sha256 {sha}")
 

@@ -15,8 +15,8 @@ SAMPLES = sorted(p.name for p in (ROOT / "samples").iterdir() if (p / f"{p.name}
 SPP = (4, 16)
 
 #: What quell-balanced reaches (docs/quality.md), less a margin for other instruction sets' rounding.
-REACHED_MEAN, REACHED_WORST = 7.8, 2.4
-REACHED_DRIFT, REACHED_DRIFT_SPARSE = 0.045, 0.17  # the second for passes that are black nearly everywhere
+REACHED_MEAN, REACHED_WORST = 10.5, 3.5
+REACHED_DRIFT, REACHED_DRIFT_SPARSE = 0.023, 0.055  # the second for passes that are black nearly everywhere
 
 
 def rel_mse(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -94,7 +94,7 @@ def test_combined_keeps_what_is_reached(results):
     assert min(gains_at(results, 16).values()) >= 1
 
 
-@pytest.mark.xfail(reason="the first network leaves fine geometry and small lamps below 4-fold: docs/quality.md")
+@pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.7-fold: docs/quality.md")
 def test_combined_at_4_spp_on_each(results):
     gains = gains_at(results, 4)
     assert geometric_mean(gains) >= 8, gains
@@ -145,7 +145,7 @@ def test_means_keep_what_is_reached(results, name, spp):
         assert abs(ratio - 1) <= (REACHED_DRIFT_SPARSE if sparse else REACHED_DRIFT), (layer, ratio)
 
 
-@pytest.mark.xfail(reason="the noisiest inputs come out up to 4 % darker: docs/quality.md")
+@pytest.mark.xfail(reason="two passes of the noisiest inputs miss it, by 0.03 % and 3 %: docs/quality.md")
 def test_means_stay_within_2_percent(results):
     for name in SAMPLES:
         for spp in SPP:
