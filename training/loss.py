@@ -17,10 +17,10 @@ TURN = 2.0  # relative error from which on the loss is linear
 
 
 def relative_error(image: Tensor, target: Tensor) -> Tensor:
-    """Pseudo-Huber of the relative error: squared up to TURN, so that noise in the target cancels; linear beyond, so that
-    one firefly does not decide a step. Relative to the estimate, because the target's own noise in the denominator would
-    pull the result down, but to no more than twice the target's surroundings: an estimate that is far too bright must
-    not excuse itself. Surroundings alone would forgive a bright edge that bleeds into the dark. One value per crop."""
+    """Pseudo-Huber of the relative error: squared up to TURN, so that noise in the target cancels; linear beyond, so
+    that one firefly does not decide a step. Relative to the estimate, because the target's own noise in the denominator
+    would pull the result down, but to no more than twice the target's surroundings: an estimate that is far too bright
+    must not excuse itself. Surroundings alone would forgive a bright edge that bleeds. One value a crop."""
     around = F.avg_pool2d(target.clamp_min(0), 3, stride=1, padding=1, count_include_pad=False)
     level = torch.minimum(image.detach(), 2 * around)
     squared = (image - target).square() / (level.square() + EPSILON)

@@ -74,7 +74,7 @@ def rate_at(step: int, config: TrainConfig) -> float:
 
 
 def keep_memory() -> None:
-    """Keeps freed memory: by default glibc gives every large tensor back, and a third of a step goes into page faults."""
+    """Keeps freed memory: glibc gives every large tensor back, and a third of a step goes into page faults."""
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
         for option, value in ((-8, 1), (-4, 0), (-1, 2**31 - 1), (-2, 2**28)):  # arenas, mmaps, trim, top pad

@@ -3,8 +3,8 @@
 
 guides [13]   -> 1x1, and with three more 3x3 to 16, ReLU, 3x3: an embedding at full resolution, which follows edges
 features [32] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
-              -> heads (1x1), one per level: its share of the embedding, and for each pass how sharply each of
-                 its dimensions is looked at, a bonus for the centre, a blend, a partition, at full resolution an importance
+              -> heads (1x1), one per level: its share of the embedding, and for each pass how sharply each of its
+                 dimensions is looked at, a bonus for the centre, a blend, a partition, at full resolution an importance
 """
 
 from __future__ import annotations
