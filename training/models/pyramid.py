@@ -49,7 +49,8 @@ def guided_kernel_reference(
 
     source [n,c,h,w]; embedding [images,e,H,W] of the output's pixels, other [images,e,h,w] of the taps;
     scale [n,e,H,W]; centre [n,1,H,W] or None; table [groups,1 or 4,taps] (4: by the parity of y and x);
-    image, group [n]: which embedding and which table an item uses. shift 1: H, W are twice h, w, and the taps lie round the parent pixel."""
+    image, group [n]: which embedding and which table an item uses. shift 1: H, W are twice h, w, and the taps lie
+    round the parent pixel."""
     taps = (2 * radius + 1) ** 2
 
     def unfold(x: Tensor) -> Tensor:
