@@ -8,12 +8,13 @@ from pathlib import Path
 
 
 def state_root() -> Path:
-    """Return the folder for everything generated that is no data set."""
-    return Path.home() / ".cache" / "quell"
+    """Return the folder for everything generated: QUELL_CACHE, or a folder in the user's cache."""
+    override = os.environ.get("QUELL_CACHE")
+    return Path(override) if override else Path.home() / ".cache" / "quell"
 
 
 def data_root() -> Path:
-    """Return the data set folder: QUELL_DATA, or a folder in the user's cache."""
+    """Return the data set folder: QUELL_DATA, or a folder of the state."""
     override = os.environ.get("QUELL_DATA")
     return Path(override) if override else state_root() / "data"
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-import os
 import subprocess
 import tempfile
 from pathlib import Path
 
 import torch
+
+from training.paths import state_root
 
 SOURCE = Path(__file__).with_name("kernel_ops.c")
 FLAGS = [
@@ -35,7 +36,7 @@ def compiled(source: Path) -> ctypes.CDLL:
     cpu = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if Path("/proc/cpuinfo").exists() else ""
     flags_line = next((line for line in cpu.splitlines() if line.startswith("flags")), "")
     key = hashlib.sha256(source.read_bytes() + " ".join(FLAGS).encode() + flags_line.encode()).hexdigest()[:16]
-    cache = Path(os.environ.get("QUELL_CACHE", Path.home() / ".cache" / "quell")) / "native"
+    cache = state_root() / "native"
     target = cache / f"{source.stem}-{key}.so"
     if not target.exists():
         cache.mkdir(parents=True, exist_ok=True)
