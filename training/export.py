@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a checkpoint as the weight file that the C library reads (docs/FORMATS.md).
+"""Writes a checkpoint as the weight file that the C library reads (docs/FORMATS.md), and reads such files back.
 
 python -m training.export --run NAME --out weights/quell-balanced.qwt --name quell-balanced
 """
@@ -7,6 +7,7 @@ python -m training.export --run NAME --out weights/quell-balanced.qwt --name que
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import struct
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 
 from training.features import NUM_FEATURES, NUM_FLAGS
-from training.models.quell import Quell
+from training.models.quell import Quell, QuellConfig
 from training.train import config_from_json, run_folder
 
 MAGIC = b"QUELLWTS"
@@ -55,17 +56,66 @@ def write_weights(path: Path, values: dict[str, np.ndarray | str]) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def file_name(parameter: str) -> str:
+    """What a parameter of the network is called in the file."""
+    return parameter.replace("heads.", "head.")
+
+
 def tensors(model: Quell) -> dict[str, np.ndarray]:
     """Weights in the file's order: convolutions [kh][kw][in][out], linear layers [in][out], biases as they are."""
     out = {}
     for name, value in model.net.state_dict().items():
-        name = name.replace("heads.", "head.")
         if value.ndim == 4:
             value = value.permute(2, 3, 1, 0)
         elif value.ndim == 2:
             value = value.t()
-        out[name] = value.contiguous().numpy().astype(np.float16)
+        out[file_name(name)] = value.contiguous().numpy().astype(np.float16)
     return out
+
+
+class WeightFileError(Exception):
+    """A file that is no weight file, or a damaged one."""
+
+
+def read_weights(path: Path) -> dict[str, np.ndarray | str]:
+    """Every record of a weight file; the inverse of write_weights."""
+    content = path.read_bytes()
+    if len(content) < 56 or content[:8] != MAGIC:
+        raise WeightFileError(f"{path}: not a weight file")
+    version, count, size = struct.unpack_from("<IIQ", content, 8)
+    if version != VERSION:
+        raise WeightFileError(f"{path}: version {version}, expected {VERSION}")
+    if size != len(content) or hashlib.sha256(content[:-32]).digest() != content[-32:]:
+        raise WeightFileError(f"{path}: damaged, its checksum differs")
+    kinds = {FLOAT: "<f4", HALF: "<f2", INT: "<i4"}
+    values: dict[str, np.ndarray | str] = {}
+    for i in range(count):
+        name, kind, ndim, *dims, offset, length = struct.unpack_from(f"<{NAME_BYTES}s6I2Q", content, 24 + 88 * i)
+        data = content[offset : offset + length]
+        value = data.decode() if kind == TEXT else np.frombuffer(data, kinds[kind]).reshape(dims[:ndim])
+        values[name.rstrip(b"\0").decode()] = value
+    return values
+
+
+def load_weights(path: Path) -> Quell:
+    """The model that a weight file holds."""
+    values = read_weights(path)
+    if values.get("meta.kind") != KIND:
+        raise WeightFileError(f"{path}: kind {values.get('meta.kind')!r}, expected {KIND!r}")
+    names = [field.name for field in dataclasses.fields(QuellConfig)]
+    model = Quell(QuellConfig(**{name: tuple(int(v) for v in values[f"config.{name}"]) for name in names}))
+    state = model.net.state_dict()
+    for name, old in state.items():
+        value = torch.from_numpy(np.array(values[file_name(name)], np.float32))
+        if value.ndim == 4:
+            value = value.permute(3, 2, 0, 1)
+        elif value.ndim == 2:
+            value = value.t()
+        if value.shape != old.shape:
+            raise WeightFileError(f"{path}: {name} is {tuple(value.shape)}, expected {tuple(old.shape)}")
+        state[name] = value
+    model.net.load_state_dict(state)
+    return model
 
 
 def load_run(name: str) -> tuple[Quell, int]:
@@ -73,7 +123,7 @@ def load_run(name: str) -> tuple[Quell, int]:
     folder = run_folder(name)
     config = config_from_json(json.loads((folder / "config.json").read_text())["config"])
     model = Quell(config.model)
-    state = torch.load(folder / "checkpoint.pt", weights_only=True)
+    state = torch.load(folder / "checkpoint.pt", weights_only=True, map_location="cpu")
     model.load_state_dict(state["ema"])
     return model, state["step"]
 
@@ -92,19 +142,25 @@ def round_to_half(model: Quell) -> Quell:
     return model
 
 
-def export(model: Quell, path: Path, name: str, description: str) -> str:
+def file_records(model: Quell, name: str, description: str) -> dict[str, np.ndarray | str]:
+    """Everything that a weight file of this model holds."""
     config = model.net.config
-    values: dict[str, np.ndarray | str] = {
+    return {
         "meta.kind": KIND,
         "meta.name": name,
         "meta.description": description,
-        "config.widths": np.array(config.widths, np.int32),
-        "config.down_convs": np.array(config.down_convs, np.int32),
-        "config.up_convs": np.array(config.up_convs, np.int32),
+        **{
+            f"config.{field.name}": np.array(getattr(config, field.name), np.int32)
+            for field in dataclasses.fields(config)
+        },
         "config.inputs": np.array([NUM_FEATURES, NUM_FLAGS], np.int32),
         **tensors(model),
     }
-    return write_weights(path, values)
+
+
+def export(model: Quell, path: Path, name: str, description: str) -> str:
+    """Writes a model as a weight file; returns the file's SHA-256."""
+    return write_weights(path, file_records(model, name, description))
 
 
 def main() -> None:

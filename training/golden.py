@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from training.export import KIND, round_to_half, tensors, write_weights
-from training.features import NUM_FEATURES, NUM_FLAGS, Guides, Layers
+from training.export import file_name, file_records, round_to_half, write_weights
+from training.features import Guides, Layers
 from training.infer import denoise_frame, frame_features
 from training.models.quell import Quell, QuellConfig
 
@@ -60,16 +60,7 @@ def main() -> None:
         torch.nn.init.normal_(table)
     model = round_to_half(model)
     layers, guides = random_frame(torch.Generator().manual_seed(3))
-    values: dict[str, np.ndarray | str] = {
-        "meta.kind": KIND,
-        "meta.name": "golden",
-        "meta.description": "random weights for tests",
-        "config.widths": np.array(config.widths, np.int32),
-        "config.down_convs": np.array(config.down_convs, np.int32),
-        "config.up_convs": np.array(config.up_convs, np.int32),
-        "config.inputs": np.array([NUM_FEATURES, NUM_FLAGS], np.int32),
-        **tensors(model),
-    }
+    values = file_records(model, "golden", "random weights for tests")
     traced: dict[str, np.ndarray] = {}
 
     def trace(name: str):
@@ -79,7 +70,7 @@ def main() -> None:
         return hook
 
     hooks = [
-        module.register_forward_hook(trace(name.replace("heads.", "head.")))
+        module.register_forward_hook(trace(file_name(name)))
         for name, module in model.net.named_modules()
         if isinstance(module, torch.nn.Conv2d)
     ]
