@@ -2,8 +2,9 @@
 """Trains a model of the quell family: `python -m training.train --run NAME --minutes 30`.
 
 A run lives in <state>/runs/NAME: config.json, checkpoint.pt (written every two minutes and at the end, by rename),
-log.csv. Killed at any moment it goes on from the last checkpoint; batches are a function of (seed, step), so it ends
-where an uninterrupted run would have ended. The learning rate falls with the share of `total_steps` done.
+frames.json (which frames joined at which step), log.csv. Killed at any moment it goes on from the last checkpoint;
+batches are a function of seed, step and frames, so it ends where an uninterrupted run would have ended (to the last bit
+on a CPU with as many threads). The learning rate falls with the share of `total_steps` done.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import contextlib
 import copy
 import ctypes
 import dataclasses
+import functools
 import json
 import math
 import subprocess
@@ -22,14 +24,18 @@ from pathlib import Path
 
 import torch
 
-from training.data.crops import CropConfig, batches
-from training.data.pack import load_packs, pack_new, prefetch
+from training.data.crops import CropConfig, make_batch
+from training.data.roster import Roster, RosterError
+from training.data.stream import stream
+from training.device import autocast, choose_device, describe, move
 from training.loss import quell_loss
 from training.models.quell import GROUPS, Quell, QuellConfig, multiply_adds
 from training.paths import state_root
 
 CHECKPOINT_SECONDS = 120
 REPACK_SECONDS = 300  # new renders join the data this often
+MIN_RENDERS = 7  # of a frame that is to be trained on
+LOG_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -93,33 +99,54 @@ def update_ema(ema: torch.nn.Module, model: torch.nn.Module, decay: float) -> No
             a.lerp_(b, 1 - decay)
 
 
-def train(name: str, config: TrainConfig, minutes: float) -> None:
-    """Trains until total_steps or for the given minutes, whichever comes first."""
+@dataclass(frozen=True)
+class Pace:
+    """How a run behaves in time; results do not depend on it, but for when new frames join."""
+
+    minutes: float = math.inf
+    checkpoint_seconds: float = CHECKPOINT_SECONDS
+    repack_seconds: float = REPACK_SECONDS
+    grow: bool = True  # whether frames that are rendered meanwhile join
+    workers: int = 1  # threads that make batches
+    min_renders: int = MIN_RENDERS
+
+
+def train(
+    name: str,
+    config: TrainConfig,
+    pace: Pace,
+    device: torch.device,
+    root: Path | None = None,
+    origin: Quell | None = None,
+) -> int:
+    """Trains until total_steps or for the given minutes, whichever comes first; returns the step reached.
+
+    root: of the data set; None: the usual one. origin: what a run begins with; None: random weights."""
     keep_memory()
     folder = run_folder(name)
     folder.mkdir(parents=True, exist_ok=True)
-    pack_new("train", 7)
-    frames = load_packs("train")
-    if not frames:
-        raise SystemExit("no packed training frames: render some first (training/README.md)")
+    roster = Roster(folder, "train", pace.min_renders, root, pace.grow)
     torch.manual_seed(config.seed)
-    model = Quell(config.model)
+    model = (copy.deepcopy(origin) if origin else Quell(config.model)).to(device)
     ema = copy.deepcopy(model)
     optimiser = torch.optim.AdamW(model.parameters(), lr=config.rate, betas=(0.9, 0.99), weight_decay=1e-4)
-    step = 0
+    step, average = 0, None
     checkpoint = folder / "checkpoint.pt"
     if checkpoint.exists():
-        state = torch.load(checkpoint, weights_only=True)
+        state = torch.load(checkpoint, weights_only=True, map_location=device)
         model.load_state_dict(state["model"])
         ema.load_state_dict(state["ema"])
         optimiser.load_state_dict(state["optimiser"])
-        step = state["step"]
+        step, average = state["step"], state.get("average")
     else:
-        saved = {"config": dataclasses.asdict(config), "git": git_revision()}
+        saved = {"config": dataclasses.asdict(config), "git": git_revision(), "device": describe(device)}
         (folder / "config.json").write_text(json.dumps(saved, indent=1))
+    frames = roster.frames(step)
     macs = multiply_adds(config.model, 1, False), multiply_adds(config.model, len(GROUPS), True)
     print(
-        f"{name}: step {step}, {len(frames)} frames, {macs[0]:.0f} to {macs[1]:.0f} multiply-adds per pixel", flush=True
+        f"{name}: step {step}, {len(frames)} frames, {macs[0]:.0f} to {macs[1]:.0f} multiply-adds per pixel, "
+        f"{describe(device)}",
+        flush=True,
     )
 
     def state() -> dict:
@@ -128,17 +155,20 @@ def train(name: str, config: TrainConfig, minutes: float) -> None:
             "ema": ema.state_dict(),
             "optimiser": optimiser.state_dict(),
             "step": step,
+            "average": average,
             "frames": len(frames),
         }
 
+    def source():
+        return stream(functools.partial(make_batch, frames, config=config.crops), step, pace.workers)
+
     start = saved_at = packed_at = time.monotonic()
-    source = prefetch(batches(frames, step, config.crops))
-    average = None
-    while step < config.total_steps and time.monotonic() - start < 60 * minutes:
-        batch = next(source)
+    batches = source()
+    while step < config.total_steps and time.monotonic() - start < 60 * pace.minutes:
+        batch = move(next(batches), device)
         for group in optimiser.param_groups:
             group["lr"] = rate_at(step, config)
-        with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
+        with autocast(device, config.bfloat16):
             out = model(batch.features, batch.layers)
         loss = quell_loss(out, batch.layers, batch.target)
         optimiser.zero_grad(set_to_none=True)
@@ -150,35 +180,55 @@ def train(name: str, config: TrainConfig, minutes: float) -> None:
         step += 1
         value = float(loss.detach())
         average = value if average is None else 0.98 * average + 0.02 * value
-        if step % 50 == 0:
+        if step % LOG_STEPS == 0:
             rate = (time.monotonic() - start) / 60
             line = f"{step},{average:.5f},{rate_at(step, config):.3e},{rate:.2f},{len(frames)}"
             with (folder / "log.csv").open("a") as log:
                 log.write(line + "\n")
             print(line, flush=True)
         now = time.monotonic()
-        if now - saved_at > CHECKPOINT_SECONDS:
+        if now - packed_at > pace.repack_seconds:
+            roster.update(step)
+            packed_at = now
+        if roster.joins_at(step):
+            frames = roster.frames(step)
+            batches.close()
+            batches = source()
+        # Behind what joined: a checkpoint never knows less than the journal did at its step.
+        if now - saved_at >= pace.checkpoint_seconds:
             save_checkpoint(checkpoint, state())
             saved_at = now
-        if now - packed_at > REPACK_SECONDS:
-            packed_at = now
-            if pack_new("train", 7):
-                frames = load_packs("train")
-                source = prefetch(batches(frames, step, config.crops))
+    batches.close()
     save_checkpoint(checkpoint, state())
+    return step
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", required=True)
     parser.add_argument("--config", type=Path, help="JSON; defaults are TrainConfig's")
-    parser.add_argument("--minutes", type=float, default=1e9)
+    parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--steps", type=int, help="total_steps of the schedule")
+    parser.add_argument("--device", choices=("cpu", "cuda"), help="default: cuda where there is one")
+    parser.add_argument("--pin", action="store_true", help="let no frames join that were not there at the start")
+    parser.add_argument("--workers", type=int, default=1, help="threads that make batches; 8 or so beside a GPU")
+    parser.add_argument("--min-renders", type=int, default=MIN_RENDERS, help="of a frame that is to be trained on")
+    parser.add_argument("--checkpoint-seconds", type=float, default=CHECKPOINT_SECONDS)
     args = parser.parse_args()
     config = config_from_json(json.loads(args.config.read_text())) if args.config else TrainConfig()
     if args.steps:
         config = dataclasses.replace(config, total_steps=args.steps)
-    train(args.run, config, args.minutes)
+    pace = Pace(
+        args.minutes,
+        args.checkpoint_seconds,
+        grow=not args.pin,
+        workers=args.workers,
+        min_renders=args.min_renders,
+    )
+    try:
+        train(args.run, config, pace, choose_device(args.device))
+    except RosterError as error:
+        raise SystemExit(str(error)) from error
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ would have seen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,10 +194,3 @@ def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Bat
     depth = torch.tensor([log_exponent(d) for d in x[:, INPUT["depth"]]], dtype=torch.float32)
     features = make_features(layers, guides, known, exposure, depth)
     return Batch(features, layers, target_layers(t), torch.from_numpy(spp))
-
-
-def batches(frames: list[PackedFrame], first: int, config: CropConfig) -> Iterator[Batch]:
-    index = first
-    while True:
-        yield make_batch(frames, index, config)
-        index += 1

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stored renders to what training reads: memory-mapped arrays per frame, so that a random crop costs no decoding.
 
-    inputs.npy  [renders, 47, h, w] float16: each render of up to MAX_INPUT_SPP samples, in INPUT's channel order
+    inputs.npy  [renders, 47, h, w] float16: each render of up to MAX_INPUT_SPP samples (or the one with
+                                            fewest), in INPUT's channel order
     sums.npy    [39, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
     pack.json   spp of each input, total spp, whether the passes sum to Combined
 
@@ -108,8 +109,8 @@ def pack_frame(record: FrameRecord, folder: Path) -> None:
     """Writes one frame's pack; the folder appears whole or not at all."""
     renders = sorted(((int(key.split("_")[0]), path) for key, path in record.renders.items() if key[0].isdigit()))
     decoded = [(spp, read_render(path)) for spp, path in renders]
-    if sum(spp for spp, _ in decoded) < 16:
-        raise CorruptRenderError(f"{record.folder}: fewer than 16 samples in all")
+    if len(decoded) < 2:
+        raise CorruptRenderError(f"{record.folder}: {len(decoded)} renders, but a target needs one besides the input")
     best = decoded[-1][1]
     with_environment, error = choose_environment(best)
     inputs, sums, total = [], np.zeros((NUM_TARGET, *best.shape[1:]), np.float32), 0
@@ -117,7 +118,7 @@ def pack_frame(record: FrameRecord, folder: Path) -> None:
         half = select_passes(render, with_environment).clip(-65504, 65504).astype(np.float16)
         sums += spp * to_target(half.astype(np.float32))
         total += spp
-        if spp <= MAX_INPUT_SPP:
+        if spp <= max(MAX_INPUT_SPP, decoded[0][0]):
             inputs.append((spp, half))
     temporary = folder.with_suffix(".tmp")
     shutil.rmtree(temporary, ignore_errors=True)
