@@ -330,6 +330,15 @@ $(ADDON)/stamp: $(WHEEL)/stamp scripts/build_addon.py $(shell find blender_addon
 	$(Q)$(PYTHON) scripts/build_addon.py --wheel $(WHEEL)/*.whl --out $(ADDON) >/dev/null
 	@touch $@
 
+# Blender as a module insists on an older NumPy, so it lives apart.
+RENDER_VENV := $(BUILD)/venv-render
+
+$(RENDER_VENV)/stamp: scripts/requirements-render.txt
+	$(call say,VENV,$<)
+	$(Q)test -x $(@D)/bin/python || python3 -m venv $(@D)
+	$(Q)$(@D)/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
 # ---- Targets ----------------------------------------------------------------------------------------------------------
 
 ## all: the library and the tool (the default)
@@ -353,9 +362,13 @@ c-tests: $(TESTS)
 ## check: the quick tests, all in C, and the warnings of every source as errors (under a minute once built)
 check: syntax run-c-tests
 
-## test: install what tests need, build, and run every test
+## test: install what tests need, build, and run every test (WITHOUT_TRAINING=1: without PyTorch and Blender)
 test: deps-test
 	$(Q)+$(SUBMAKE) all c-tests $(if $(wildcard bench/*.c),benches) addon $(VENV)/stamp-test
+ifeq ($(WITHOUT_TRAINING),)
+	$(Q)+$(SUBMAKE) $(VENV)/stamp-training || echo "PyTorch could not be installed: the tests of training are skipped"
+	$(Q)+$(SUBMAKE) $(RENDER_VENV)/stamp || echo "Blender could not be installed: the test that renders is skipped"
+endif
 	$(Q)QUELL_BUILD=$(OUT) $(PYTHON) -m pytest tests --ignore=tests/blender --ignore=tests/farm --ignore=tests/cross $(PYTEST_FLAGS)
 
 ## test-blender: the add-on in Debian's Blender and a few of PyPI's (1 GB each, into build/blender); the farm samples
@@ -441,6 +454,13 @@ demo: deps-demo
 	$(Q)+$(SUBMAKE) $(VENV)/stamp-peer || echo "Open Image Denoise could not be installed: its columns stay empty"
 	$(Q)$(PYTHON) scripts/demo.py --quell $(CLI) --out $(BUILD)/demo
 
+.PHONY: train-smoke deps-train
+## train-smoke: render two tiny scenes, train a few steps, export, compare the library with PyTorch
+train-smoke: deps-train
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-test $(VENV)/stamp-training $(RENDER_VENV)/stamp
+	$(Q)rm -rf $(BUILD)/smoke
+	$(Q)$(PYTHON) -m training.smoke --renderer $(RENDER_VENV)/bin/python --quell $(CLI) --out $(BUILD)/smoke
+
 benches: $(BENCHES)
 
 ## bench-peers: error, time and memory beside Open Image Denoise: bench/results/*.csv, docs/benchmarks.md (an hour)
@@ -458,8 +478,8 @@ TRAINING_PYTHON ?= python3
 ablation: all
 	$(Q)$(TRAINING_PYTHON) -m training.dgan.ablation --quell $(CLI)
 
-## deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: only install what those targets need
-deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64: deps-%:
+## deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64 deps-train: only install what those targets need
+deps-demo deps-test deps-bench deps-blender deps-windows deps-arm64 deps-train: deps-%:
 	$(Q)scripts/install_deps.sh $*
 
 ## install: library, header, pkg-config file and tool under $(DESTDIR)$(PREFIX)

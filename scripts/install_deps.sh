@@ -1,6 +1,6 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
-# install_deps.sh [build|demo|test|bench|blender|windows|arm64] - installs the Debian packages that a target needs.
+# install_deps.sh [build|demo|test|bench|blender|windows|arm64|train] - installs the Debian packages that a target needs.
 #
 # Does nothing when all are there. As root, or where sudo asks for no password, it runs apt-get; otherwise it prints the
 # command and exits with 1. Python packages do not come from here: the Makefile puts them into build/venv.
@@ -8,10 +8,15 @@ set -eu
 
 what=${1:-build}
 packages="build-essential cmake pkg-config python3-pip python3-venv libimath-dev libopenimageio-dev libcjson-dev"
+# What Blender as a Python module links with.
+module="libgl1 libice6 libsm6 libx11-6 libxfixes3 libxi6 libxkbcommon0 libxrender1"
 case $what in
 build) ;;
 demo | bench) packages="$packages openimageio-tools" ;;
-test) packages="$packages openimageio-tools libcmocka-dev valgrind gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
+test)
+    packages="$packages openimageio-tools libcmocka-dev valgrind gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user"
+    packages="$packages $module"
+    ;;
 # The window tests draw in software on a screen that is not there; Debian's OpenEXR is the other one in the process; a
 # Slurm of one node and a JavaScript engine try the farm samples.
 blender)
@@ -20,8 +25,9 @@ blender)
     ;;
 windows) packages="$packages g++-mingw-w64-x86-64-posix wine64" ;;
 arm64) packages="$packages g++-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user" ;;
+train) packages="$packages $module" ;;
 *)
-    echo "usage: install_deps.sh [build|demo|test|bench|blender|windows|arm64]" >&2
+    echo "usage: install_deps.sh [build|demo|test|bench|blender|windows|arm64|train]" >&2
     exit 2
     ;;
 esac
