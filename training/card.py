@@ -167,7 +167,9 @@ def card_text(card: dict[str, Any]) -> list[str]:
     lines += ["| | |", "| --- | --- |", f"| kind | `{card['kind']}` |", f"| size | {card['bytes']:,} bytes |"]
     if "parameters" in card:
         one, all_ = card["multiply_adds"]
-        lines.append(f"| parameters | {card['parameters']:,}, as half floats; widths {', '.join(map(str, card['widths']))} |")
+        lines.append(
+            f"| parameters | {card['parameters']:,}, as half floats; widths {', '.join(map(str, card['widths']))} |"
+        )
         lines.append(f"| multiply-adds per pixel | {one:,} for Combined alone, {all_:,} for all passes |")
     lines += [f"| SHA-256 | `{card['sha256']}` |", ""]
     if "training" in card:

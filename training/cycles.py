@@ -10,26 +10,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-import OpenEXR
 
-from training.data.store import BACKGROUND_DEPTH, CHANNELS
-
-#: Blender 5 writes long pass names; the store keeps the short ones of 4.x.
-_SHORT_NAMES = {
-    "Diffuse Direct": "DiffDir",
-    "Diffuse Indirect": "DiffInd",
-    "Diffuse Color": "DiffCol",
-    "Glossy Direct": "GlossDir",
-    "Glossy Indirect": "GlossInd",
-    "Glossy Color": "GlossCol",
-    "Transmission Direct": "TransDir",
-    "Transmission Indirect": "TransInd",
-    "Transmission Color": "TransCol",
-    "Volume Direct": "VolumeDir",
-    "Volume Indirect": "VolumeInd",
-    "Emission": "Emit",
-    "Environment": "Env",
-}
+from training.data.store import PASSES
+from training.exr import read_exr
 
 _LAYER_PASSES = (
     "combined z normal position emit environment diffuse_direct diffuse_indirect diffuse_color "
@@ -112,35 +95,9 @@ def render(scene: bpy.types.Scene, spp: int, seed: int) -> Render:
         start = time.process_time()
         bpy.ops.render.render(write_still=True)
         seconds = time.process_time() - start
-        found = read_channels(path)
-    extra = {name: np.stack([found[f"{name}.{c}"] for c in "RGB"]) for name in extra_passes(scene)}
-    return Render(select_channels(found), extra, seconds)
-
-
-def read_channels(path: Path) -> dict[str, np.ndarray]:
-    """Read a multilayer EXR of any Blender version: "Pass.C" by 4.x's short names to [H,W]."""
-    found: dict[str, np.ndarray] = {}
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            for name, channel in part.channels.items():
-                # Layer names may hold dots: channel and pass are what stands last.
-                pieces = name.rsplit(".", 2)
-                if len(pieces) >= 2:
-                    pass_name = _SHORT_NAMES.get(pieces[-2], pieces[-2])
-                    found[f"{pass_name}.{pieces[-1]}"] = channel.pixels
-    return found
-
-
-def select_channels(found: dict[str, np.ndarray]) -> np.ndarray:
-    """Return what was read in the order of CHANNELS; passes of volumes may be missing and are then zero."""
-    height, width = found["Combined.R"].shape
-    out = np.zeros((len(CHANNELS), height, width), np.float32)
-    for index, name in enumerate(CHANNELS):
-        if name in found:
-            out[index] = found[name]
-        elif not name.startswith("Volume"):
-            raise RuntimeError(f"Cycles wrote no channel {name}; it wrote {sorted(found)}")
-    for name in ("Depth.Z", "Denoising Depth.Z"):
-        plane = out[CHANNELS.index(name)]
-        plane[plane > BACKGROUND_DEPTH] = 0.0
-    return out
+        found = read_exr(path)
+    lacking = [name for name in PASSES if name not in found.present and not name.startswith("Volume")]
+    if lacking:
+        raise RuntimeError(f"Cycles wrote no {', '.join(lacking)}; it wrote {', '.join(sorted(found.channels))}")
+    extra = {name: np.stack([found.channels[f"{name}.{c}"] for c in "RGB"]) for name in extra_passes(scene)}
+    return Render(found.pixels, extra, seconds)

@@ -40,6 +40,7 @@ class ExrRender:
 
     pixels: np.ndarray
     present: frozenset[str]  # passes that the file has
+    channels: dict[str, np.ndarray]  # all that the layer holds, "Pass.C" by 4.x's short names
     spp: int | None  # samples per pixel, where the file says
 
 
@@ -79,7 +80,7 @@ def read_exr(path: Path) -> ExrRender:
     for name in ("Depth.Z", "Denoising Depth.Z"):
         plane = out[CHANNELS.index(name)]
         plane[plane > BACKGROUND_DEPTH] = 0.0
-    return ExrRender(out, frozenset(present), spp.get(layer, next(iter(spp.values()), None)))
+    return ExrRender(out, frozenset(present), found, spp.get(layer, next(iter(spp.values()), None)))
 
 
 def write_exr(path: Path, pixels: np.ndarray, spp: int | None, passes: frozenset[str] | None = None) -> None:

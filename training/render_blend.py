@@ -29,7 +29,7 @@ def render_frame(scene: bpy.types.Scene, folder: Path, meta: dict, spp: int, see
         if path.exists():
             continue
         seed = int.from_bytes(hashlib.sha256(f"{folder.name}/{i}".encode()).digest()[:4], "little") & 0x7FFFFFFF
-        pixels = cycles.render(scene, spp, seed)[0]
+        pixels = cycles.render(scene, spp, seed).pixels
         write_atomic(folder / "meta.json", json.dumps(meta, indent=1).encode())
         write_render(path, pixels, spp)
         print(f"{path}: {spp} samples, seed {seed}", flush=True)

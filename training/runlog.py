@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a run's log says: the learning curve as a picture, and how long it took.
 
-    python -m training.runlog --run NAME [--run OTHER] --out docs/images/learning-balanced.png
+python -m training.runlog --run NAME [--run OTHER] --out docs/images/learning-balanced.png
 """
 
 from __future__ import annotations
