@@ -24,7 +24,7 @@ from pathlib import Path
 
 import torch
 
-from training.data.crops import CropConfig, make_batch
+from training.data.crops import CropConfig, RawBatch, draw_batch, finish_batch, make_batch
 from training.data.roster import Roster, RosterError
 from training.data.stream import stream
 from training.device import autocast, choose_device, describe, move
@@ -160,12 +160,16 @@ def train(
         }
 
     def source():
-        return stream(functools.partial(make_batch, frames, config=config.crops), step, pace.workers)
+        # Beside a GPU the workers only draw: features are made where there is time for them.
+        make = make_batch if device.type == "cpu" else draw_batch
+        return stream(functools.partial(make, frames, config=config.crops), step, pace.workers)
 
     start = saved_at = packed_at = time.monotonic()
     batches = source()
     while step < config.total_steps and time.monotonic() - start < 60 * pace.minutes:
-        batch = move(next(batches), device)
+        batch = next(batches)
+        if isinstance(batch, RawBatch):
+            batch = finish_batch(move(batch, device))
         for group in optimiser.param_groups:
             group["lr"] = rate_at(step, config)
         with autocast(device, config.bfloat16):

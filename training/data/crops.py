@@ -165,10 +165,23 @@ def limit_layers(layers: Layers) -> Layers:
     return Layers(limit_fireflies(layers.beauty, emitter), light, layers.color, layers.emission)
 
 
-def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:
+@dataclass(frozen=True)
+class RawBatch:
+    """What chance has decided of a batch: crops, augmented, and what the network will not be told."""
+
+    inputs: Tensor  # [n,47,h,w] in INPUT's order
+    target: Tensor  # [n,39,h,w] in TARGET's
+    spp: Tensor  # [n]
+    known: Tensor  # [n] spp as the network sees it, 0: hidden
+    jitter: Tensor  # [n] stops of exposure
+    has_light: bool
+    dropped: tuple[bool, bool, bool]  # albedo, normal, depth
+
+
+def draw_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> RawBatch:
     """Batch `index`: all its crops either have light passes or have none."""
     rng = np.random.default_rng([config.seed, index])
-    has_light = rng.random() < config.light_fraction
+    has_light = bool(rng.random() < config.light_fraction)
     closing = [f for f in frames if f.closes]
     pool = closing if has_light and closing else frames
     inputs = np.empty((config.batch, NUM_INPUT, config.crop, config.crop), np.float32)
@@ -178,19 +191,26 @@ def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Bat
         frame = pool[int(rng.integers(len(pool)))]
         x, t, spp[i] = crop_frame(frame, rng, config)
         inputs[i], target[i] = augment(x, t, frame.closes, rng, config)
-    x, t = torch.from_numpy(inputs), torch.from_numpy(target)
-    layers = limit_layers(to_layers(x, bool(has_light)))
+    albedo, normal, depth = (bool(b) for b in rng.random(3) < config.drop_guide)
+    known = spp * float(rng.random() >= config.hide_spp)
+    jitter = rng.integers(-1, 2, config.batch).astype(np.float32)
+    tensors = map(torch.from_numpy, (inputs, target, spp, known, jitter))
+    return RawBatch(*tensors, has_light, (albedo, normal, depth))
+
+
+def finish_batch(raw: RawBatch) -> Batch:
+    """The features of a batch, on the device that its crops are on."""
+    x = raw.inputs
+    layers = limit_layers(to_layers(x, raw.has_light))
     guides = to_guides(x)
-    drop = rng.random(3) < config.drop_guide
-    guides = Guides(
-        None if drop[0] else guides.albedo,
-        None if drop[1] else guides.normal,
-        None if drop[2] else guides.depth,
-        guides.alpha,
-    )
-    known = torch.from_numpy(spp) * float(rng.random() >= config.hide_spp)
-    jitter = torch.from_numpy(rng.integers(-1, 2, config.batch).astype(np.float32))
-    exposure = torch.tensor([log_exponent(b) for b in layers.beauty], dtype=torch.float32) + jitter
-    depth = torch.tensor([log_exponent(d) for d in x[:, INPUT["depth"]]], dtype=torch.float32)
-    features = make_features(layers, guides, known, exposure, depth)
-    return Batch(features, layers, target_layers(t), torch.from_numpy(spp))
+    kept = (None if drop else g for g, drop in zip((guides.albedo, guides.normal, guides.depth), raw.dropped, strict=True))
+    guides = Guides(*kept, guides.alpha)
+    exposure = x.new_tensor([log_exponent(b) for b in layers.beauty]) + raw.jitter
+    depth = x.new_tensor([log_exponent(d) for d in x[:, INPUT["depth"]]])
+    features = make_features(layers, guides, raw.known, exposure, depth)
+    return Batch(features, layers, target_layers(raw.target), raw.spp)
+
+
+def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:
+    """Batch `index`, whatever was drawn before."""
+    return finish_batch(draw_batch(frames, index, config))
