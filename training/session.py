@@ -40,6 +40,7 @@ SPP = "1,1,2,4,8,16,32"
 RESERVE_SECONDS = 45
 #: How long the pace is measured before the number of steps, and with it the schedule of the rate, is settled.
 PROBE_MINUTES = 0.75
+LEAST_PROBE_MINUTES = 1 / 60
 #: Crops of a batch where the device is a GPU; a CPU keeps the configuration's.
 GPU_BATCH = 32
 
@@ -121,7 +122,7 @@ def train_until(run: str, config: TrainConfig, pace: Pace, device: torch.device,
     first = steps_done(run)
     endless = dataclasses.replace(config, total_steps=sys.maxsize)  # at the full rate
     began = time.monotonic()
-    probe = min(PROBE_MINUTES, minutes_left() / 4)
+    probe = max(LEAST_PROBE_MINUTES, min(PROBE_MINUTES, minutes_left() / 4))
     step = train(run, endless, dataclasses.replace(pace, minutes=probe), device, data)
     per_second = max(step - first, 1) / (time.monotonic() - began)
     total = step + max(1, int(per_second * 60 * minutes_left()))

@@ -22,6 +22,14 @@ SMALL = QuellConfig(widths=(16, 16, 16, 16))
 CROPS = CropConfig(crop=64, batch=2, seed=3)
 
 
+CUDA = torch.device("cuda")
+
+
+def every_index(shape: torch.Size) -> torch.Tensor:
+    """What nonzero() gives where nothing is zero."""
+    return torch.cartesian_prod(*(torch.arange(n) for n in shape))
+
+
 @pytest.fixture
 def reference_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The plain PyTorch form of the kernels, which other devices run."""
@@ -56,25 +64,24 @@ def test_the_reference_trains_as_the_native_kernels_do(
         torch.testing.assert_close(a, b, rtol=1e-2, atol=1e-3 * float(b.abs().max() + 1e-6))
 
 
-def test_one_step_keeps_to_its_device(data_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("light", [False, True])
+def test_one_step_keeps_to_its_device(light: bool, data_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fake CUDA tensors refuse to be mixed with CPU ones, as real ones do; nothing is computed."""
-    # The scales of a frame are read as numbers, which fake tensors do not have; so is which passes are black.
+    # Frames' scales are read as numbers, which fake tensors do not have; so is which passes are black.
     monkeypatch.setattr("training.data.crops.log_exponent", lambda image: 0)
-    raw = draw_batch(load_packs("train", data_set), 0, dataclasses.replace(CROPS, light_fraction=1.0))
+    raw = draw_batch(load_packs("train", data_set), 0, dataclasses.replace(CROPS, light_fraction=float(light)))
+    monkeypatch.setattr(torch.Tensor, "nonzero", lambda self: every_index(self.shape))
     with FakeTensorMode(allow_non_fake_inputs=True) as mode:
-        device = torch.device("cuda")
-        fake = dataclasses.replace(
-            raw, **{n: mode.from_tensor(v).to(device) for n, v in vars(raw).items() if isinstance(v, torch.Tensor)}
-        )
-        batch = finish_batch(dataclasses.replace(fake, has_light=False))
-        assert batch.features.planes.device.type == batch.target.product_device if False else True
-        model = Quell(SMALL).to(device)
-        with autocast(device, True):
+        fake = {name: mode.from_tensor(v) for name, v in vars(raw).items() if isinstance(v, torch.Tensor)}
+        batch = finish_batch(move(dataclasses.replace(raw, **fake), CUDA))
+        model = Quell(SMALL).to(CUDA)
+        with autocast(CUDA, True):
             out = model(batch.features, batch.layers)
         loss = quell_loss(out, batch.layers, batch.target)
         loss.backward()
-        assert loss.device.type == "cuda"
-        assert all(p.grad is None or p.grad.device.type == "cuda" for p in model.parameters())
+        assert loss.device.type == "cuda" and (out.light is not None) == light
+        gradients = [p.grad for p in model.parameters() if p.grad is not None]
+        assert len(gradients) > 20 and all(g.device.type == "cuda" for g in gradients)
 
 
 def test_move_leaves_what_is_no_tensor(data_set: Path) -> None:

@@ -7,7 +7,7 @@ would have seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -203,8 +203,9 @@ def finish_batch(raw: RawBatch) -> Batch:
     x = raw.inputs
     layers = limit_layers(to_layers(x, raw.has_light))
     guides = to_guides(x)
-    kept = (None if drop else g for g, drop in zip((guides.albedo, guides.normal, guides.depth), raw.dropped, strict=True))
-    guides = Guides(*kept, guides.alpha)
+    for name, dropped in zip(("albedo", "normal", "depth"), raw.dropped, strict=True):
+        if dropped:
+            guides = replace(guides, **{name: None})
     exposure = x.new_tensor([log_exponent(b) for b in layers.beauty]) + raw.jitter
     depth = x.new_tensor([log_exponent(d) for d in x[:, INPUT["depth"]]])
     features = make_features(layers, guides, raw.known, exposure, depth)
