@@ -18,8 +18,8 @@ def flat(value: float, size: int = 64) -> Tensor:
     return torch.full((1, 3, size, size), float(value))
 
 
-#: Image 1, target 3: the level is held at 1.5, half the target: (3 - 1)^2 / (1.5^2 + 0.01), softened from 2 on.
-ONE_TO_THREE = 4 * (math.sqrt(1 + 4 / 2.26 / 4) - 1)
+#: Image 1, target 3, relative to the image: (3 - 1)^2 / (1^2 + 0.01), softened from 2 on.
+ONE_TO_THREE = 4 * (math.sqrt(1 + 4 / 1.01 / 4) - 1)
 
 
 def test_relative_error_of_flat_images() -> None:
