@@ -467,7 +467,10 @@ benches: $(BENCHES)
 bench-peers: BENCH_OUT :=
 ## bench-quick: a small part of it in two minutes, under build/bench/
 bench-quick: BENCH_OUT := $(BUILD)/bench
-bench-peers bench-quick: deps-bench
+## bench: time and memory by size and by layers, whole jobs beside a copy by oiiotool, without the peer (ten minutes)
+bench: BENCH_OUT :=
+bench: BENCH_FLAGS ?= --no-peer --runs 3 --only layers,resolution,job
+bench bench-peers bench-quick: deps-bench
 	$(Q)+$(SUBMAKE) all $(VENV)/stamp-bench
 	$(Q)$(PYTHON) bench/peers.py --build $(OUT) $(if $(BENCH_OUT),--quick --results $(BENCH_OUT)/results) $(BENCH_FLAGS)
 	$(Q)$(PYTHON) bench/report.py $(if $(BENCH_OUT),--results $(BENCH_OUT)/results --out $(BENCH_OUT)/docs)
@@ -555,7 +558,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench-peers \
+.PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench bench-peers \
 	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:
