@@ -45,7 +45,8 @@ class ExrRender:
 
 
 def read_exr(path: Path) -> ExrRender:
-    """Read the first view layer of a multilayer EXR. Where Blender has denoised, Combined is taken from Noisy Image."""
+    """Read the first view layer of a multilayer EXR, of several views the first. Where Blender has denoised, Combined is
+    taken from Noisy Image."""
     layers: dict[str, dict[str, np.ndarray]] = {}
     spp: dict[str, int] = {}
     try:
@@ -54,9 +55,15 @@ def read_exr(path: Path) -> ExrRender:
                 for key, value in part.header.items():
                     if key.startswith("cycles.") and key.endswith(".samples"):
                         spp[key.removeprefix("cycles.").removesuffix(".samples")] = int(value)
+                views = list(part.header.get("multiView", []))
                 for name, channel in part.channels.items():
                     # Layer names may hold dots: channel and pass are what stands last.
-                    layer, pass_name, component = (["", "Combined"] + name.rsplit(".", 2))[-3:]
+                    stem, _, component = name.rpartition(".")
+                    view = stem.rpartition(".")[2]
+                    if view in views[1:]:
+                        continue
+                    stem = stem.removesuffix(f".{view}") if view in views else stem
+                    layer, pass_name = (["", *stem.rsplit(".", 1)] if stem else ["", "Combined"])[-2:]
                     found = layers.setdefault(layer, {})
                     found[f"{SHORT_NAMES.get(pass_name, pass_name)}.{component}"] = channel.pixels
     except (RuntimeError, ValueError) as error:

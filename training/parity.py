@@ -58,7 +58,9 @@ def by_tool(quell: Path, weights: Path, frame: ExrRender, folder: Path) -> ExrRe
     """The same frame through the command-line tool."""
     source, target = folder / "parity-in.exr", folder / "parity-out.exr"
     write_exr(source, frame.pixels, frame.spp, frame.present)
-    subprocess.run([quell, "denoise", source, "-o", target, "-m", weights, "-q"], check=True)
+    # The blend with the render is the library's own; the kernels are what both compute.
+    plain = ["--no-blend", "--no-skip"]
+    subprocess.run([quell, "denoise", source, "-o", target, "-m", weights, "-q", *plain], check=True)
     return read_exr(target)
 
 

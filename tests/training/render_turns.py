@@ -63,7 +63,7 @@ def main() -> None:
     for flips in itertools.product((False, True), repeat=3):
         parent.matrix_world = turn_matrix(*flips)
         bpy.context.view_layer.update()
-        pixels, _ = cycles.render(scene, 16, 1)
+        pixels = cycles.render(scene, 16, 1).pixels
         np.save(folder / ("".join(str(int(flip)) for flip in flips) + ".npy"), pixels[pass_slice("Denoising Normal")])
 
 
