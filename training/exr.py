@@ -45,8 +45,8 @@ class ExrRender:
 
 
 def read_exr(path: Path) -> ExrRender:
-    """Read the first view layer of a multilayer EXR, of several views the first. Where Blender has denoised, Combined is
-    taken from Noisy Image."""
+    """Read the first view layer of a multilayer EXR, of several views the first. Where Blender has denoised, Combined
+    is taken from Noisy Image."""
     layers: dict[str, dict[str, np.ndarray]] = {}
     spp: dict[str, int] = {}
     try:
