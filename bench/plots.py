@@ -25,12 +25,12 @@ def colors(methods: Sequence[str]) -> dict[str, str]:
     return own_colors(methods, OURS, PEERS)
 
 
-def save(figure: plt.Figure, path: Path) -> None:
+def save(figure: plt.Figure, path: Path, num_colors: int = 64) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90)
     plt.close(figure)
-    Image.open(buffer).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
+    Image.open(buffer).convert("RGB").quantize(num_colors, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def axes(width: float = 7.2, height: float = 4.4, columns: int = 1) -> tuple[plt.Figure, list[plt.Axes]]:

@@ -359,7 +359,14 @@ typedef struct quell_options {
 enum {
     QUELL_DENOISE_KEEP_NOISY = 1, /* keep the noisy Combined as a layer "Noisy Image" beside the denoised one */
     QUELL_DENOISE_NO_SKIP = 2,    /* compute everything, also what needs no work */
-    QUELL_DENOISE_NO_BLEND = 4    /* the kernels' result alone: changes finished renders too */
+    QUELL_DENOISE_NO_BLEND = 4,   /* the kernels' result alone: changes finished renders too */
+    /* Append layers "Quell Noise", "Quell Confidence" and "Quell Skipped" to the frame for each view of each view layer,
+     * of one channel 'Y' in half floats: the estimated deviation of Combined's noise relative to its local mean (-1: not
+     * measured); the share of the kernels' result in the denoised Combined; and what was not computed (1; 0.5: needs
+     * nothing, but was computed for what is beside it). Where Combined is not denoised they are of the first layer that
+     * is. QUELL_ERR_INVALID_ARGUMENT where the frame has such layers already, and with models of the kind DGAN-KPN.
+     * Reports leave them out. */
+    QUELL_DENOISE_DEBUG_LAYERS = 8
 };
 
 typedef struct quell_report quell_report;

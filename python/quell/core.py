@@ -271,11 +271,13 @@ class Context(_Handle):
         keep_noisy: bool = False,
         tile_size: int = 0,
         progress: Progress | None = None,
+        debug_layers: bool = False,
     ) -> Report:
         """Denoises the frame's layers in place and says what was done.
 
         layers: "all", "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the
-        noisy Combined stays as a layer "Noisy Image". On any error the pixels are as they were.
+        noisy Combined stays as a layer "Noisy Image". debug_layers: the frame gets layers "Quell Noise", "Quell
+        Confidence" and "Quell Skipped" (docs/cli.md). On any error the pixels are as they were.
         """
         raised: list[BaseException] = []
 
@@ -286,8 +288,10 @@ class Context(_Handle):
                 raised.append(error)
                 return 1
 
+        flags = native.DENOISE_KEEP_NOISY if keep_noisy else 0
+        flags |= native.DENOISE_DEBUG_LAYERS if debug_layers else 0
         options = native.Options(
-            flags=native.DENOISE_KEEP_NOISY if keep_noisy else 0,
+            flags=flags,
             layers=None if layers is None else native.encoded(layers),
             tile_size=tile_size,
             progress=native.ProgressFn(forward),

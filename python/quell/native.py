@@ -41,6 +41,7 @@ FORMAT_HALF = 1
 LAYER_COPY = 0
 LAYER_BORROW = 1
 DENOISE_KEEP_NOISY = 1
+DENOISE_DEBUG_LAYERS = 8
 ACTION = {1: "denoised", 2: "skipped", 3: "guide", 4: "untouched"}
 
 LogFn = C.CFUNCTYPE(None, C.c_void_p, C.c_int32, C.c_char_p)  # user, level, message

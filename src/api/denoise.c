@@ -10,7 +10,8 @@
 #define DGAN_OPTIONS_V1 QL_STRUCT_V1(quell_dgan_options, reserved0)
 #define REPORT_LAYER_V1 QL_STRUCT_V1(quell_report_layer, mean_after)
 #define REPORT_SUMMARY_V1 QL_STRUCT_V1(quell_report_summary, model_name)
-#define KNOWN_FLAGS ((uint32_t)(QUELL_DENOISE_KEEP_NOISY | QUELL_DENOISE_NO_SKIP | QUELL_DENOISE_NO_BLEND))
+#define KNOWN_FLAGS                                                                                                    \
+    ((uint32_t)(QUELL_DENOISE_KEEP_NOISY | QUELL_DENOISE_NO_SKIP | QUELL_DENOISE_NO_BLEND | QUELL_DENOISE_DEBUG_LAYERS))
 
 /* dgan: receives the settings that given points to, and options then points to it. */
 static quell_status read_options(const quell_options *given, quell_options *options, quell_dgan_options *dgan,

@@ -27,6 +27,8 @@ static const char help_text[] =
     "      --keep-noisy      keep the noisy Combined as the layer 'Noisy Image'\n"
     "      --no-skip         compute everything, also layers and parts of the image that need no work\n"
     "      --no-blend        do not blend with the render where that is cleaner: changes finished renders too\n"
+    "      --debug-layers    add layers that show the noise estimate, the blend and what was skipped: Quell Noise,\n"
+    "                        Quell Confidence, Quell Skipped\n"
     "      --codec CODEC     for parts that are encoded again: keep (default; lossy ones become zip), none, rle, "
     "zips,\n"
     "                        zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k\n"
@@ -63,6 +65,7 @@ enum {
     OPT_RUN_ALL,
     OPT_NO_SKIP,
     OPT_NO_BLEND,
+    OPT_DEBUG_LAYERS,
     OPT_DRY_RUN
 };
 
@@ -132,6 +135,7 @@ static int own_option(denoise_args *args, int code, const char *argument)
     case OPT_KEEP_NOISY: args->flags |= QUELL_DENOISE_KEEP_NOISY; return 0;
     case OPT_DRY_RUN: args->is_dry = 1; return 0;
     case OPT_NO_SKIP: args->flags |= QUELL_DENOISE_NO_SKIP; return 0;
+    case OPT_DEBUG_LAYERS: args->flags |= QUELL_DENOISE_DEBUG_LAYERS; return 0;
     case OPT_NO_BLEND: args->flags |= QUELL_DENOISE_NO_BLEND; return 0;
     case OPT_REPORT: args->report = argument; return 0;
     case OPT_CODEC:
@@ -166,6 +170,7 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         {"keep-noisy", no_argument, NULL, OPT_KEEP_NOISY},
         {"no-skip", no_argument, NULL, OPT_NO_SKIP},
         {"dry-run", no_argument, NULL, OPT_DRY_RUN},
+        {"debug-layers", no_argument, NULL, OPT_DEBUG_LAYERS},
         {"no-blend", no_argument, NULL, OPT_NO_BLEND},
         {"codec", required_argument, NULL, OPT_CODEC},
         {"report", required_argument, NULL, OPT_REPORT},

@@ -3,6 +3,7 @@
 #include "denoise/denoise.h"
 
 #include "base/clock.h"
+#include "denoise/debug_layers.h"
 #include "denoise/dgan.h"
 #include "denoise/region.h"
 #include "denoise/survey.h"
@@ -560,10 +561,16 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     if (w.dgan == NULL && options->dgan)
         return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT,
                        "settings of DGAN-KPN are given with a model that is none; choose 'dgan-kpn' or leave them out");
+    if (w.dgan && (options->flags & QUELL_DENOISE_DEBUG_LAYERS))
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT,
+                       "debug layers show the noise estimate, which models of the kind DGAN-KPN do not use; choose "
+                       "another model or leave them out");
     env->progress_from = 0.0;
     env->progress_to = 0.05;
     quell_status status = ql_plan_create(frame, options->layers && options->layers[0] ? options->layers : by_default,
                                          env->memory, &w.plan, err);
+    if (status == QUELL_OK && (options->flags & QUELL_DENOISE_DEBUG_LAYERS))
+        status = ql_debug_layers_check(frame, &w.plan, err);
     if (status == QUELL_OK) status = look(&w, err);
     w.seconds_analyse = ql_clock_seconds() - start;
     if (status == QUELL_OK && w.dgan) {
@@ -577,7 +584,14 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
         if (status == QUELL_OK && !dry) status = run(&w, err);
     }
     if (status == QUELL_OK) status = make_report(&w, model, ql_clock_seconds() - start, dry, report, err);
-    for (uint32_t i = 0; i < frame->num_layers; ++i) {
+    if (status == QUELL_OK && !dry && (options->flags & QUELL_DENOISE_DEBUG_LAYERS)) {
+        status = ql_debug_layers_add(env, frame, &w.plan, &w.survey, w.halo, err);
+        if (status != QUELL_OK) {
+            ql_report_destroy(*report);
+            *report = NULL;
+        }
+    }
+    for (uint32_t i = 0; i < w.plan.num_layers; ++i) { /* those that the frame came with */
         if (w.scans) ql_scan_free(&w.scans[i], env->memory);
         if (w.results == NULL || w.results[i] == NULL) continue;
         if (status == QUELL_OK) {

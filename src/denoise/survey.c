@@ -69,8 +69,12 @@ static quell_status survey_layer(ql_env *env, const ql_frame *frame, const ql_la
     if (layer->share == NULL || layer->weight == NULL || layer->residual == NULL)
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory: noise estimate", source->full_name);
     QL_TRY(ql_noise_measure(env, source, scan, num_colors(source), frame->width, frame->height, &layer->noise, err));
-    for (size_t i = 0; i < num; ++i)
-        layer->share[i] = flags & QL_SURVEY_NO_BLEND ? 1.0f : ql_plan_share(layer->noise.variance[i], samples[i]);
+    for (size_t i = 0; i < num; ++i) {
+        if (flags & QL_SURVEY_NO_BLEND)
+            layer->share[i] = layer->weight[i] = 1.0f;
+        else
+            layer->share[i] = ql_plan_share(layer->noise.variance[i], samples[i]);
+    }
     return QUELL_OK;
 }
 

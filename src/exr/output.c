@@ -96,6 +96,16 @@ static int fills_its_part(const ql_exr_output *output, const ql_layer *layer)
     return output->source->parts[layer->part].channels->num_channels == (int32_t)layer->num_channels;
 }
 
+/* The part that the file has a layer of the same view layer and view in: its header says what a new part is about. */
+static int32_t part_of_view(const ql_frame *frame, const ql_layer *added, int32_t otherwise)
+{
+    for (uint32_t i = 0; i < frame->num_layers; i++) {
+        const ql_layer *layer = &frame->layers[i];
+        if (layer->channel_index[0] >= 0 && is_same_view(layer, added)) return (int32_t)layer->part;
+    }
+    return otherwise;
+}
+
 /* extras has room for two per layer of the frame. */
 static uint32_t find_extras(const ql_exr_output *output, extra_layer *extras)
 {
@@ -108,10 +118,10 @@ static uint32_t find_extras(const ql_exr_output *output, extra_layer *extras)
     }
     for (uint32_t i = 0; i < frame->num_layers; i++) {
         const ql_layer *layer = &frame->layers[i];
-        if (layer->channel_index[0] < 0) { /* the caller's own */
+        if (layer->channel_index[0] < 0) { /* added since */
             extras[count++] = (extra_layer){.layer = layer,
                                             .use_result = layer->result != NULL,
-                                            .part = first_listed,
+                                            .part = part_of_view(frame, layer, first_listed),
                                             .is_own_part = output->is_multi_part,
                                             .before = (int32_t)source->num_parts};
         }
@@ -131,13 +141,14 @@ static uint32_t find_extras(const ql_exr_output *output, extra_layer *extras)
     return count;
 }
 
-/* "ViewLayer.Noisy Image" with or without its view; what the caller added without a view layer gets Blender's usual. */
-static void extra_name(const extra_layer *extra, int with_view, char separator, char *out, size_t out_bytes)
+/* "ViewLayer.Noisy Image" with or without its view; a frame from memory whose layers name no view layer gets Blender's
+ * usual. */
+static void extra_name(const ql_exr_output *output, const extra_layer *extra, int with_view, char separator, char *out,
+                       size_t out_bytes)
 {
     const ql_layer *layer = extra->layer;
     const char *view_layer = layer->view_layer;
-    const int is_from_file = layer->channel_index[0] >= 0;
-    if (!view_layer[0] && !is_from_file) view_layer = "ViewLayer";
+    if (!view_layer[0] && !output->source) view_layer = "ViewLayer";
     char view[300] = "";
     if (with_view && layer->view[0]) snprintf(view, sizeof view, "%c%s", separator, layer->view);
     snprintf(out, out_bytes, "%s%s%s%s", view_layer, view_layer[0] ? "." : "",
@@ -395,8 +406,8 @@ static quell_status add_extra_part(ql_exr_output *output, const extra_layer *ext
     ql_exr_output_part *part = &output->parts[output->num_parts];
     char prefix[512], name[512];
     uint32_t count = 0;
-    extra_name(extra, 0, '.', prefix, sizeof prefix);
-    extra_name(extra, 1, '-', name, sizeof name);
+    extra_name(output, extra, 0, '.', prefix, sizeof prefix);
+    extra_name(output, extra, 1, '-', name, sizeof name);
     quell_status status =
         is_part_name_taken(output->source, name) ? name_error(output, name, "is taken", err) : QUELL_OK;
     if (status == QUELL_OK) {
@@ -455,7 +466,7 @@ static quell_status add_source_part(ql_exr_output *output, uint32_t index, const
     for (uint32_t e = 0; e < num_extras; e++) {
         char prefix[512];
         if (extras[e].is_own_part || extras[e].part != (int32_t)index) continue;
-        extra_name(&extras[e], 1, '.', prefix, sizeof prefix);
+        extra_name(output, &extras[e], 1, '.', prefix, sizeof prefix);
         const quell_status status =
             draft_layer(output, extras[e].layer, extras[e].use_result, prefix, source->width, drafts, &count, err);
         QL_TRY(forgive_noisy(output, &extras[e], status));
@@ -535,7 +546,7 @@ static quell_status plan_from_layers(ql_exr_output *output, int32_t codec, ql_er
                                  layer->full_name);
                 goto fail;
             }
-            extra_name(&extra, 1, '.', prefix, sizeof prefix);
+            extra_name(output, &extra, 1, '.', prefix, sizeof prefix);
             status = draft_layer(output, layer, extra.use_result, prefix, frame->width, drafts, &count, err);
             QL_TRY_GOTO(forgive_noisy(output, &extra, status));
         }

@@ -52,15 +52,13 @@ static void choose_weights(const ql_blend *blend)
     }
 }
 
-/* Weights are those of block centres, and linear between them. Returns whether all are 1. blocks: one row of blocks. */
-static int weight_row(const blend_job *job, uint32_t y, float *blocks, float *out)
+int ql_blend_weight_row(const float *weights, uint32_t across, uint32_t down, uint32_t width, uint32_t y, float *blocks,
+                        float *out)
 {
-    const uint32_t across = job->blend->across, down = job->blend->down;
     const float fy = ((float)y + 0.5f) / (float)BLOCK - 0.5f;
     const uint32_t top = fy > 0.0f ? (uint32_t)fy : 0, bottom = top + 1 < down ? top + 1 : down - 1;
     const float ty = fy > (float)top ? fy - (float)top : 0.0f;
-    const float *const a = job->blend->weights + (size_t)top * across, *const b = job->blend->weights +
-                                                                                  (size_t)bottom * across;
+    const float *const a = weights + (size_t)top * across, *const b = weights + (size_t)bottom * across;
     int is_one = 1;
     for (uint32_t i = 0; i < across; ++i) {
         blocks[i] = a[i] + ty * (b[i] - a[i]);
@@ -72,7 +70,7 @@ static int weight_row(const blend_job *job, uint32_t y, float *blocks, float *ou
         const float left = blocks[i > 0 ? i - 1 : 0], right = blocks[i < across ? i : across - 1];
         for (uint32_t k = i > 0 ? 0 : BLOCK / 2; k < BLOCK; ++k) {
             const uint32_t x = i * BLOCK + k - BLOCK / 2;
-            if (x >= job->width) break;
+            if (x >= width) break;
             out[x] = left + ((float)k + 0.5f) / (float)BLOCK * (right - left);
         }
     }
@@ -87,7 +85,9 @@ static void blend_task(void *user, uint32_t task, uint32_t worker)
     float *const raw = valid + width;
     float *rows[MAX_CHANNELS];
     for (size_t c = 0; c < MAX_CHANNELS; ++c) rows[c] = raw + (c + 1) * width;
-    if (weight_row(job, task, raw, weight)) return; /* the filtered row as it is */
+    const ql_blend *const blend = job->blend;
+    if (ql_blend_weight_row(blend->weights, blend->across, blend->down, job->width, task, raw, weight))
+        return; /* the filtered row as it is */
     ql_read_fixed_row(job->layer, job->scan, job->width, task, job->num_colors, rows, valid);
     for (uint32_t c = 0; c < job->num_channels; ++c) {
         float *const out = result_row(job, c, task);

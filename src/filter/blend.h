@@ -28,4 +28,9 @@ quell_status ql_blend_layer(ql_env *env, const ql_layer *layer, const ql_scan *s
                             uint32_t num_colors, uint32_t num_channels, uint32_t width, uint32_t height, float *result,
                             ql_error *err);
 
+/* The weights of one row of pixels: those of block centres, linear between them. Returns 1 where all are 1, out then being
+ * left as it is. blocks: scratch of `across` floats. */
+int ql_blend_weight_row(const float *weights, uint32_t across, uint32_t down, uint32_t width, uint32_t y, float *blocks,
+                        float *out);
+
 #endif

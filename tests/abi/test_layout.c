@@ -147,6 +147,7 @@ static void numbers_mean_what_they_meant(void **state)
     assert_int_equal(QUELL_DENOISE_KEEP_NOISY, 1);
     assert_int_equal(QUELL_DENOISE_NO_SKIP, 2);
     assert_int_equal(QUELL_DENOISE_NO_BLEND, 4);
+    assert_int_equal(QUELL_DENOISE_DEBUG_LAYERS, 8);
     assert_int_equal(QUELL_ACTION_UNTOUCHED, 4);
     assert_int_equal(QUELL_LAYER_BORROW, 1);
 }

@@ -124,6 +124,34 @@ static void layers_may_fail(void **state)
     quell_frame_destroy(frame);
 }
 
+/* A frame gets all of its debug layers, or none. */
+static void debug_layers_may_fail(void **state)
+{
+    fixture *f = *state;
+    const quell_options options = {.struct_size = sizeof options, .flags = QUELL_DENOISE_DEBUG_LAYERS};
+    ql_memory *const memory = ((ql_frame *)f->frame)->memory;
+    for (int n = 1;; n++) {
+        memcpy(f->lent, f->color, sizeof f->color);
+        memory->fail_at = n;
+        const quell_status status = quell_denoise(f->ctx, f->model, f->frame, &options, NULL);
+        const int was_reached = memory->fail_at == 0;
+        memory->fail_at = 0;
+        assert_int_equal(f->ctx->memory.used_bytes, 0);
+        if (!was_reached) {
+            assert_int_equal(status, QUELL_OK);
+            assert_memory_equal(f->lent, f->expected, sizeof f->lent);
+            assert_int_equal(quell_frame_num_layers(f->frame), 4);
+            assert_true(n > 4);
+            break;
+        }
+        assert_int_equal(status, QUELL_ERR_OUT_OF_MEMORY);
+        assert_memory_equal(f->lent, f->color, sizeof f->lent);
+        assert_int_equal(quell_frame_num_layers(f->frame), 1);
+    }
+    assert_int_equal(quell_denoise(f->ctx, f->model, f->frame, &options, NULL), QUELL_ERR_INVALID_ARGUMENT);
+    assert_non_null(strstr(quell_context_last_error(f->ctx), "'Quell Noise'"));
+}
+
 static void comparing_may_fail(void **state)
 {
     fixture *f = *state;
@@ -178,6 +206,7 @@ int main(void)
         cmocka_unit_test(layers_may_fail),
         cmocka_unit_test(comparing_may_fail),
         cmocka_unit_test(limits_hold),
+        cmocka_unit_test(debug_layers_may_fail), /* leaves the frame with more layers: the last */
     };
     const struct CMUnitTest dgan_tests[] = {
         cmocka_unit_test(working_memory_may_fail),

@@ -95,7 +95,12 @@ def test_constants_are_those_of_the_header(package, root):
         assert f"QUELL_ACTION_{name.upper()} = {value}" in header
     major, minor = native.ABI_VERSION
     assert f"#define QUELL_VERSION_MAJOR {major}\n#define QUELL_VERSION_MINOR {minor}\n" in header
-    for name, value in (("FORMAT_HALF", 1), ("LAYER_BORROW", 1), ("DENOISE_KEEP_NOISY", 1)):
+    for name, value in (
+        ("FORMAT_HALF", 1),
+        ("LAYER_BORROW", 1),
+        ("DENOISE_KEEP_NOISY", 1),
+        ("DENOISE_DEBUG_LAYERS", 8),
+    ):
         assert f"QUELL_{name} = {value}" in header and getattr(native, name) == value
 
 
@@ -193,6 +198,17 @@ def test_errors_carry_the_librarys_sentence(package, context, tmp_path):
         context.open_model("a\0b")
     with pytest.raises(package.QuellError, match="known: auto"):
         package.Context(cpu="abacus")
+
+
+def test_debug_layers_are_appended(package, context, noisy):
+    with context.new_frame(70, 48) as frame:
+        frame.add_layer("Combined", noisy)
+        report = context.denoise(frame, context.open_model(), debug_layers=True)
+        names = [layer.full_name for layer in frame.layers]
+        assert names == ["Combined", "Quell Noise", "Quell Confidence", "Quell Skipped"]
+        assert len(report.layers) == 1
+        confidence = frame.pixels("Quell Confidence")
+        assert confidence.shape[:2] == (48, 70) and 0 <= confidence.min() <= confidence.max() <= 1
 
 
 def test_progress_rises_to_one(context, noisy):
