@@ -89,7 +89,7 @@ WARN := -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wundef -Wvla -Wwrite-str
 WARN_C = $(WARN) -Wstrict-prototypes -Wmissing-prototypes
 # Contraction of a * b + c would make results depend on the compiler: kernels ask for it by name where they want it.
 MACHINE := -fPIC
-DEFINES := -D_POSIX_C_SOURCE=200809L -DQUELL_BUILDING -DQL_WEIGHTS_DIR=\"weights\"
+DEFINES := -D_POSIX_C_SOURCE=200809L -DQUELL_BUILDING
 ifeq ($(PLATFORM),windows)
 # Windows aligns stacks to 16 bytes, and GCC does not align them further there (its bug 54412): the assembler's
 # unaligned moves keep wide vectors that are spilled from faulting.
@@ -130,7 +130,14 @@ LIB_SOURCES := $(filter-out $(foreach isa,$(other_isas),%_$(isa).c) %_$(other_sy
 LIB_OBJECTS := $(LIB_SOURCES:%.c=$(OBJ)/%.o)
 CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(filter-out %_$(other_system).c,$(wildcard src/cli/*.c)))
 OIIO_OBJECTS := $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
-WEIGHTS := $(wildcard weights/*.qwt)
+
+# Every weight file of the folder goes into the library under its name, the default first.
+WEIGHTS_DIR ?= weights
+DEFAULT_WEIGHTS := $(WEIGHTS_DIR)/quell-balanced.qwt
+WEIGHTS := $(DEFAULT_WEIGHTS) $(filter-out $(DEFAULT_WEIGHTS),$(sort $(wildcard $(WEIGHTS_DIR)/*.qwt)))
+WEIGHT_NAMES := $(basename $(notdir $(WEIGHTS)))
+BUILTIN_LIST := $(OBJ)/weights/builtin_list.h
+builtin_flags = $(if $(filter src/models/builtin.c,$(1)),-I$(dir $(BUILTIN_LIST)) -DQL_WEIGHTS_DIR='"$(WEIGHTS_DIR)"')
 
 STATIC_LIB := $(OUT)/lib/libquell.a
 ifeq ($(PLATFORM),windows)
@@ -207,10 +214,16 @@ $(OBJ)/flags: FORCE
 	@printf '%s\n' '$(subst ',,$(CC) $(CXX) $(C_FLAGS) $(CXX_FLAGS) $(LDFLAGS))' >$@.new
 	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
 
+# Rewritten when the folder has other files, which no file's time would tell.
+$(BUILTIN_LIST): FORCE
+	@mkdir -p $(@D)
+	@printf 'QL_BUILTIN(%s, "%s")\n' $(foreach name,$(WEIGHT_NAMES),$(subst -,_,$(name)) $(name)) >$@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
 $(OBJ)/%.o: %.c $(OBJ)/flags
 	$(call say,CC,$<)
 	@mkdir -p $(@D)
-	$(Q)$(CC) $(C_FLAGS) $(call user_flag,$<) $(call isa_flags,$<) $(EXTRA_FLAGS) -c $< -o $@
+	$(Q)$(CC) $(C_FLAGS) $(call user_flag,$<) $(call isa_flags,$<) $(call builtin_flags,$<) $(EXTRA_FLAGS) -c $< -o $@
 
 $(OBJ)/%.o: %.cpp $(OBJ)/flags
 	$(call say,CXX,$<)
@@ -219,7 +232,7 @@ $(OBJ)/%.o: %.cpp $(OBJ)/flags
 
 $(OBJ)/src/exr/%.o: EXTRA_FLAGS := -isystem $(OPENEXR)/include
 $(patsubst %.c,$(OBJ)/%.o,$(wildcard src/exr/*.c)): | $(OPENEXR_STAMP)
-$(OBJ)/src/models/builtin.o: $(WEIGHTS)
+$(OBJ)/src/models/builtin.o: $(WEIGHTS) $(BUILTIN_LIST)
 # For --version alone; quell.h does not speak of OpenEXR.
 openexr_version = $(shell sed -n 's/^\#define OPENEXR_VERSION_STRING //p' $(OPENEXR)/include/OpenEXR/OpenEXRConfig.h)
 $(OBJ)/src/cli/main.o: EXTRA_FLAGS = -DCLI_OPENEXR_VERSION='$(openexr_version)'
@@ -539,11 +552,11 @@ lint: syntax
 	$(Q)if command -v ruff >/dev/null; then ruff check scripts tests bench training python blender_addon; fi
 
 # Warnings are errors here and only here: a new compiler's warning must not break somebody's build.
-SYNTAX := $(filter-out $(WEIGHTS),$(LIB_SOURCES:%=$(OBJ)/%.syntax))
+SYNTAX := $(LIB_SOURCES:%=$(OBJ)/%.syntax)
 syntax: $(SYNTAX)
-$(OBJ)/%.syntax: % $(OBJ)/flags | $(OPENEXR_STAMP)
+$(OBJ)/%.syntax: % $(OBJ)/flags | $(OPENEXR_STAMP) $(BUILTIN_LIST)
 	@mkdir -p $(@D)
-	$(Q)$(CC) $(C_FLAGS) $(call isa_flags,$<) -isystem $(OPENEXR)/include -Werror -fsyntax-only -MT $@ -MF $@.d $<
+	$(Q)$(CC) $(C_FLAGS) $(call isa_flags,$<) $(call builtin_flags,$<) -isystem $(OPENEXR)/include -Werror -fsyntax-only -MT $@ -MF $@.d $<
 	@touch $@
 
 ## clean: remove this configuration's results (build/third_party and build/venv stay)

@@ -139,6 +139,10 @@ typedef struct quell_model_info {
     uint64_t num_parameters;
     double macs_per_pixel;     /* multiply-adds per image pixel when one group of layers is filtered */
     double macs_per_pixel_all; /* ... when every group is */
+    const char *weight_file;   /* path as it was opened, "quell-balanced.qwt" for one inside the library, "" for
+                                  memory; lent */
+    int32_t quality;           /* QUELL_QUALITY_* that this network of the library is; 0: none of them */
+    uint32_t reserved0;
 } quell_model_info;
 
 /* Opens a model: NULL or "" for the default, a built-in name (quell_model_builtin_name), or the path of a weight file.
@@ -160,6 +164,24 @@ QUELL_API QUELL_NODISCARD quell_status quell_model_get_info(const quell_model *m
 
 /* Names of the models inside the library, index 0 being the default; NULL past the end. Static text. Since: 0.1 */
 QUELL_API const char *quell_model_builtin_name(uint32_t index);
+
+/* Quality levels. Each is a network of its own inside the library, larger from level to level; all take the same
+ * layers and options. */
+enum {
+    QUELL_QUALITY_DEFAULT = 0, /* QUELL_QUALITY_BALANCED */
+    QUELL_QUALITY_FAST = 1,
+    QUELL_QUALITY_BALANCED = 2,
+    QUELL_QUALITY_HIGH = 3
+};
+
+/* Opens the network of a level: QUELL_QUALITY_*. *out is NULL on failure.
+ * Returns QUELL_OK, QUELL_ERR_INVALID_ARGUMENT, QUELL_ERR_FILE_NOT_FOUND (the library was built without that level's
+ * weight file), QUELL_ERR_BAD_MODEL, QUELL_ERR_OUT_OF_MEMORY. Since: 0.1 */
+QUELL_API QUELL_NODISCARD quell_status quell_model_open_quality(quell_context *ctx, int32_t quality, quell_model **out);
+
+/* Name of a level: "fast", "balanced" or "high"; NULL for other values, so that counting up from QUELL_QUALITY_FAST lists
+ * them. Static text. Since: 0.1 */
+QUELL_API const char *quell_quality_name(int32_t quality);
 
 /* ---- Images and frames ------------------------------------------------------------------------------------------- */
 

@@ -13,7 +13,7 @@ or, with pixels in memory: Context.new_frame, Frame.add_layer(..., borrow=True),
 """
 
 from . import native
-from .core import Context, Frame, LayerInfo, Model, ModelInfo, models, roles, version
+from .core import Context, Frame, LayerInfo, Model, ModelInfo, models, qualities, roles, version
 from .errors import CancelledError, FileError, LibraryError, ModelError, NoLayerError, QuellError, ResourceError
 from .report import LayerReport, Report
 
@@ -34,6 +34,7 @@ __all__ = [
     "ResourceError",
     "models",
     "native",
+    "qualities",
     "roles",
     "version",
 ]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from . import native
-from .errors import QuellError
+from .errors import FileError, QuellError
 from .report import LayerReport, Report
 
 # Called with the fraction done, 0 to 1, a few times a second; returning True cancels.
@@ -31,6 +31,8 @@ class ModelInfo:
     num_parameters: int
     macs_per_pixel: float
     macs_per_pixel_all: float
+    weight_file: str  # path as it was opened; "quell-balanced.qwt" for one inside the library
+    quality: str | None  # the level that this network of the library is
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ class Model(_Handle):
             num_parameters=info.num_parameters,
             macs_per_pixel=info.macs_per_pixel,
             macs_per_pixel_all=info.macs_per_pixel_all,
+            weight_file=native.text(info.weight_file),
+            quality=native.text(native.load().quell_quality_name(info.quality)) or None,
         )
 
 
@@ -225,6 +229,7 @@ class Context(_Handle):
         if log is not None:
             options.log = native.LogFn(lambda _user, _level, message: log(native.text(message)))
         self._log = options.log  # the library calls it as long as the context lives
+        self._levels: dict[str, Model] = {}  # opened by denoise and plan
         pointer = native.HANDLE()
         status = native.load().quell_context_create(native.byref(options), native.byref(pointer))
         native.check(status)
@@ -243,12 +248,37 @@ class Context(_Handle):
         """Stops the call that runs on this context; it raises CancelledError soon after. From any thread."""
         native.load().quell_cancel(self.pointer)
 
-    def open_model(self, name_or_path: str | os.PathLike[str] = "") -> Model:
-        """A built-in model by name, "" for the default, or a weight file."""
+    def open_model(self, name_or_path: str | os.PathLike[str] = "", quality: str | None = None) -> Model:
+        """A quality level's network (native.QUALITY), a built-in model by name, or a weight file; "": the default."""
+        if quality and name_or_path:
+            raise QuellError(
+                f"model '{name_or_path}' and quality '{quality}': each level is a network of its own: give one of them"
+            )
         pointer = native.HANDLE()
-        status = native.load().quell_model_open(self.pointer, native.encoded(name_or_path), native.byref(pointer))
+        library = native.load()
+        if quality:
+            level = _choice(native.QUALITY, quality, "quality")
+            status = library.quell_model_open_quality(self.pointer, level, native.byref(pointer))
+        else:
+            status = library.quell_model_open(self.pointer, native.encoded(name_or_path), native.byref(pointer))
         native.check(status, self.pointer)
         return Model(pointer)
+
+    def _choose_model(self, model: Model | None, quality: str | None) -> Model:
+        """The model given, or that of a level, which stays open as long as the context."""
+        if model is not None and quality:
+            raise QuellError(f"a model and quality '{quality}': each level is a network of its own: give one of them")
+        if model is not None:
+            return model
+        key = quality or ""
+        if key not in self._levels:
+            self._levels[key] = self.open_model(quality=quality)
+        return self._levels[key]
+
+    def close(self) -> None:
+        for model in getattr(self, "_levels", {}).values():
+            model.close()
+        super().close()
 
     def new_frame(self, width: int, height: int) -> Frame:
         """An empty frame, to be filled by Frame.add_layer."""
@@ -266,19 +296,22 @@ class Context(_Handle):
     def denoise(
         self,
         frame: Frame,
-        model: Model,
+        model: Model | None = None,
         layers: str | None = None,
         keep_noisy: bool = False,
         tile_size: int = 0,
         progress: Progress | None = None,
         debug_layers: bool = False,
+        quality: str | None = None,
     ) -> Report:
         """Denoises the frame's layers in place and says what was done.
 
-        layers: "all", "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the
-        noisy Combined stays as a layer "Noisy Image". debug_layers: the frame gets layers "Quell Noise", "Quell
-        Confidence" and "Quell Skipped" (docs/cli.md). On any error the pixels are as they were.
+        model: from open_model, or instead quality, a level of native.QUALITY; neither: the default. layers: "all",
+        "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the noisy Combined
+        stays as a layer "Noisy Image". debug_layers: the frame gets layers "Quell Noise", "Quell Confidence" and "Quell
+        Skipped" (docs/cli.md). On any error the pixels are as they were.
         """
+        network = self._choose_model(model, quality)
         raised: list[BaseException] = []
 
         def forward(_user: int | None, fraction: float) -> int:
@@ -298,7 +331,7 @@ class Context(_Handle):
         )
         report = native.HANDLE()
         status = native.load().quell_denoise(
-            self.pointer, model.pointer, frame.pointer, native.byref(options), native.byref(report)
+            self.pointer, network.pointer, frame.pointer, native.byref(options), native.byref(report)
         )
         try:
             if raised:
@@ -308,12 +341,15 @@ class Context(_Handle):
         finally:
             native.load().quell_report_destroy(report)
 
-    def plan(self, frame: Frame, model: Model, layers: str | None = None) -> Report:
+    def plan(
+        self, frame: Frame, model: Model | None = None, layers: str | None = None, quality: str | None = None
+    ) -> Report:
         """What denoise would do, without doing it."""
+        network = self._choose_model(model, quality)
         options = native.Options(layers=None if layers is None else native.encoded(layers))
         report = native.HANDLE()
         status = native.load().quell_plan(
-            self.pointer, model.pointer, frame.pointer, native.byref(options), native.byref(report)
+            self.pointer, network.pointer, frame.pointer, native.byref(options), native.byref(report)
         )
         try:
             native.check(status, self.pointer)
@@ -333,6 +369,19 @@ def models() -> list[str]:
     while (name := native.load().quell_model_builtin_name(len(names))) is not None:
         names.append(native.text(name))
     return names
+
+
+def qualities() -> list[str]:
+    """Quality levels whose network is inside the library, from the smallest on."""
+    found = []
+    with Context(threads=1) as context:
+        for quality in native.QUALITY:
+            try:
+                context.open_model(quality=quality).close()
+                found.append(quality)
+            except FileError:  # built without that weight file
+                continue
+    return found
 
 
 def roles(passes: dict[str, int]) -> dict[str, str]:

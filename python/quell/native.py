@@ -22,6 +22,7 @@ ABI_VERSION = (0, 1)
 OK = 0
 
 CPU = {"auto": 0, "c": 1, "avx2": 2, "avx512": 3, "neon": 4}
+QUALITY = {"fast": 1, "balanced": 2, "high": 3}
 CODEC = {
     "keep": 0,
     "none": 1,
@@ -78,6 +79,9 @@ class ModelInfo(SizedStruct):
         ("num_parameters", C.c_uint64),
         ("macs_per_pixel", C.c_double),
         ("macs_per_pixel_all", C.c_double),
+        ("weight_file", C.c_char_p),
+        ("quality", C.c_int32),
+        ("reserved0", C.c_uint32),
     ]
 
 
@@ -192,6 +196,15 @@ SIGNATURES: dict[str, tuple[object, list[object]]] = {
             C.POINTER(HANDLE),  # out
         ],
     ),
+    "quell_model_open_quality": (
+        C.c_int32,
+        [
+            HANDLE,  # context
+            C.c_int32,  # quality: a value of QUALITY; 0: the default
+            C.POINTER(HANDLE),  # out
+        ],
+    ),
+    "quell_quality_name": (C.c_char_p, [C.c_int32]),  # quality -> NULL for other values
     "quell_model_destroy": (None, [HANDLE]),
     "quell_model_get_info": (C.c_int32, [HANDLE, C.POINTER(ModelInfo)]),
     "quell_model_builtin_name": (C.c_char_p, [C.c_uint32]),  # index -> NULL past the end

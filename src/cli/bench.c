@@ -3,6 +3,7 @@
 #include "cli/bench_scene.h"
 #include "cli/cli.h"
 #include "cli/json.h"
+#include "cli/model.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,7 +22,8 @@ static const char help_text[] =
     "                        volume, emission, environment, ambient occlusion, light groups; default 10\n"
     "      --features WHICH  all (default): Denoising Albedo, Normal and Depth beside them; none\n"
     "      --runs R          default 5\n"
-    "  -m, --model NAME|FILE a built-in model (quell --version -v lists them) or a weight file\n"
+    "      --quality LEVEL   fast, balanced (default) or high: larger networks, which take longer\n"
+    "  -m, --model NAME|FILE instead: a built-in model (quell --version -v lists them) or a weight file\n"
     "      --json            the result as JSON\n"
     "      --threads N       default: one for each core\n"
     "      --max-memory MB   working memory beyond the image itself; smaller means smaller tiles; default 4096\n"
@@ -92,6 +94,7 @@ static int parse(int argc, char **argv, bench_args *args, int *wants_help)
     static const struct option options[] = {
         CLI_COMMON_OPTIONS,
         {"model", required_argument, NULL, 'm'},
+        {"quality", required_argument, NULL, CLI_OPT_QUALITY},
         {"size", required_argument, NULL, OPT_SIZE},
         {"layers", required_argument, NULL, OPT_LAYERS},
         {"features", required_argument, NULL, OPT_FEATURES},
@@ -209,12 +212,15 @@ static double gmacs_per_second(const bench_args *args, const quell_report_summar
     return 1e-9 * pixels * runs[0].macs_per_pixel / median_seconds(runs, args->num_runs);
 }
 
-static int print_json(quell_context *ctx, const bench_args *args, const char *model, const quell_report_summary *runs)
+static int print_json(quell_context *ctx, const bench_args *args, const quell_model_info *model,
+                      const quell_report_summary *runs)
 {
     const uint32_t num = args->num_runs;
+    const char *const level = quell_quality_name(model->quality);
     cJSON *const json = cJSON_CreateObject();
     cJSON_AddStringToObject(json, "quell", quell_version_string());
-    cJSON_AddStringToObject(json, "model", model);
+    cJSON_AddStringToObject(json, "model", model->name);
+    cJSON_AddItemToObject(json, "quality", level ? cJSON_CreateString(level) : cJSON_CreateNull());
     cJSON_AddStringToObject(json, "isa", quell_context_cpu_name(ctx));
     cli_json_number(json, "threads", quell_context_num_threads(ctx));
     cli_json_number(json, "width", args->width);
@@ -233,10 +239,11 @@ static int print_json(quell_context *ctx, const bench_args *args, const char *mo
     return cli_json_write(json, "-");
 }
 
-static void print_text(quell_context *ctx, const bench_args *args, const char *model, const quell_report_summary *runs)
+static void print_text(quell_context *ctx, const bench_args *args, const quell_model_info *model,
+                       const quell_report_summary *runs)
 {
     const quell_report_summary *const middle = &runs[(args->num_runs - 1) / 2];
-    printf("%s, %ux%u, %u %s, %s, %u threads\n", model, args->width, args->height, args->num_layers,
+    printf("%s, %ux%u, %u %s, %s, %u threads\n", model->name, args->width, args->height, args->num_layers,
            args->num_layers == 1 ? "layer" : "layers", quell_context_cpu_name(ctx), quell_context_num_threads(ctx));
     printf("  %.4f s (median of %u; %.4f to %.4f)\n", median_seconds(runs, args->num_runs), args->num_runs,
            runs[0].seconds_total, runs[args->num_runs - 1].seconds_total);
@@ -256,8 +263,8 @@ static int bench(quell_context *ctx, const quell_model *model, const bench_args 
     int code = runs ? cli_exit_code(quell_model_get_info(model, &info)) : CLI_EXIT_MEMORY;
     if (code == CLI_EXIT_OK) code = make_frame(ctx, args, &frame);
     if (code == CLI_EXIT_OK) code = run_all(ctx, model, frame, args, runs);
-    if (code == CLI_EXIT_OK && args->is_json) code = print_json(ctx, args, info.name, runs);
-    if (code == CLI_EXIT_OK && !args->is_json) print_text(ctx, args, info.name, runs);
+    if (code == CLI_EXIT_OK && args->is_json) code = print_json(ctx, args, &info, runs);
+    if (code == CLI_EXIT_OK && !args->is_json) print_text(ctx, args, &info, runs);
     quell_frame_destroy(frame);
     free(runs);
     return code;
@@ -274,11 +281,8 @@ int cli_bench(int argc, char **argv)
     quell_context *ctx = NULL;
     quell_model *model = NULL;
     code = cli_context_create(&args.common, &ctx);
-    if (code == CLI_EXIT_OK) {
-        const quell_status status = quell_model_open(ctx, args.common.model, &model);
-        code = status == QUELL_OK ? bench(ctx, model, &args) : cli_error_status(args.common.model, ctx, status);
-        if (status == QUELL_ERR_FILE_NOT_FOUND || status == QUELL_ERR_FILE_READ) code = CLI_EXIT_MODEL;
-    }
+    if (code == CLI_EXIT_OK) code = cli_model_open(&args.common, "bench", ctx, &model);
+    if (code == CLI_EXIT_OK) code = bench(ctx, model, &args);
     quell_model_destroy(model);
     cli_context_destroy(ctx);
     return code;

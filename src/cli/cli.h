@@ -45,6 +45,7 @@ typedef struct cli_common {
     uint64_t max_memory_bytes;
     int32_t cpu;
     const char *model;
+    int32_t quality; /* QUELL_QUALITY_*; 0: not asked for */
     int is_quiet;
 } cli_common;
 
@@ -55,6 +56,7 @@ enum {
     CLI_OPT_MEMORY,
     CLI_OPT_CPU,
     CLI_OPT_MODEL,
+    CLI_OPT_QUALITY,
     CLI_OPT_QUIET,
     CLI_OPT_OWN
 };

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Messages, options and the context that all subcommands share. */
 #include "cli/cli.h"
+#include "cli/model.h"
 #include "cli/platform.h"
 
 #include <errno.h>
@@ -153,6 +154,7 @@ int cli_common_option(cli_common *common, const char *command, int code, const c
         }
         return 0;
     case CLI_OPT_MODEL: common->model = argument; return 0;
+    case CLI_OPT_QUALITY: return cli_quality_option(common, command, argument);
     case CLI_OPT_QUIET: common->is_quiet = 1; return 0;
     default:
         /* getopt has said what is wrong. */

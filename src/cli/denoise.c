@@ -2,6 +2,7 @@
 /* quell denoise: files in, files out, one after the other with one model and one pool of threads. */
 #include "cli/cli.h"
 #include "cli/json.h"
+#include "cli/model.h"
 #include "cli/paths.h"
 #include "cli/platform.h"
 #include "cli/progress.h"
@@ -22,7 +23,8 @@ static const char help_text[] =
     "of\n"
     "                        '#' its frame number, padded with zeros: -o 'clean/shot_####.exr', -o '{name}_clean.exr'\n"
     "      --overwrite       let a folder or a pattern lead back to an input file\n"
-    "  -m, --model NAME|FILE a built-in model (quell --version -v lists them) or a weight file\n"
+    "      --quality LEVEL   fast, balanced (default) or high: larger networks, which take longer\n"
+    "  -m, --model NAME|FILE instead: a built-in model (quell --version -v lists them) or a weight file\n"
     "  -l, --layers WHICH    all (default): every light pass; beauty: Combined alone; or names, comma-separated\n"
     "      --keep-noisy      keep the noisy Combined as the layer 'Noisy Image'\n"
     "      --no-skip         compute everything, also layers and parts of the image that need no work\n"
@@ -164,6 +166,7 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         CLI_COMMON_OPTIONS,
         {"output", required_argument, NULL, 'o'},
         {"model", required_argument, NULL, 'm'},
+        {"quality", required_argument, NULL, CLI_OPT_QUALITY},
         {"layers", required_argument, NULL, 'l'},
         {"quiet", no_argument, NULL, 'q'},
         {"overwrite", no_argument, NULL, OPT_OVERWRITE},
@@ -339,7 +342,7 @@ static layer_counts count_layers(const quell_report *report)
     return counts;
 }
 
-static void print_plan(const denoise_args *args, int index, const file_result *result)
+static void print_plan(const quell_model *model, const denoise_args *args, int index, const file_result *result)
 {
     quell_report_summary summary = {.struct_size = sizeof summary};
     quell_report_layer layer = {.struct_size = sizeof layer};
@@ -348,6 +351,11 @@ static void print_plan(const denoise_args *args, int index, const file_result *r
            args->inputs[index], summary.num_active_cells, summary.num_cells, summary.num_tiles,
            summary.num_tiles == 1 ? "tile" : "tiles", summary.tile_width, summary.tile_height,
            (double)summary.peak_bytes / 1048576.0);
+    quell_model_info info = {.struct_size = sizeof info};
+    char text[512];
+    if (quell_model_get_info(model, &info) != QUELL_OK) return;
+    cli_model_describe(&info, text, sizeof text);
+    printf("  with the model %s, %s\n", info.name, text);
     for (uint32_t i = 0; quell_report_get_layer(result->report, i, &layer) == QUELL_OK; i++) {
         printf("  %-8s %s", cli_action_name(layer.action), layer.full_name);
         if (layer.action == QUELL_ACTION_DENOISED) printf(", noise %.1f %%", 100.0 * layer.noise);
@@ -404,7 +412,8 @@ static int run(quell_context *ctx, const quell_model *model, const denoise_args 
         const int one = denoise_file(ctx, model, args, i, &result);
         /* Standard output is the report's when it goes there. */
         const int prints = !args->common.is_quiet && !(args->report && strcmp(args->report, "-") == 0);
-        if (one == CLI_EXIT_OK && prints) (args->is_dry ? print_plan : print_summary)(args, i, &result);
+        if (one == CLI_EXIT_OK && prints && args->is_dry) print_plan(model, args, i, &result);
+        if (one == CLI_EXIT_OK && prints && !args->is_dry) print_summary(args, i, &result);
         if (files) cJSON_AddItemToArray(files, file_json(args, i, &result, one));
         quell_report_destroy(result.report);
         if (cli_is_interrupted()) return cli_interrupt_code();
@@ -420,6 +429,8 @@ static int run_with_report(quell_context *ctx, const quell_model *model, const d
     cJSON_AddStringToObject(json, "quell", quell_version_string());
     cJSON_AddStringToObject(json, "kernels", quell_context_cpu_name(ctx));
     cJSON_AddNumberToObject(json, "threads", quell_context_num_threads(ctx));
+    quell_model_info info = {.struct_size = sizeof info};
+    if (quell_model_get_info(model, &info) == QUELL_OK) cJSON_AddItemToObject(json, "model", cli_json_model(&info));
     const int code = run(ctx, model, args, cJSON_AddArrayToObject(json, "files"));
     return cli_exit_merge(code, cli_json_write(json, args->report));
 }
@@ -436,13 +447,8 @@ int cli_denoise(int argc, char **argv)
     quell_model *model = NULL;
     code = args.is_dry ? CLI_EXIT_OK : name_outputs(&args);
     if (code == CLI_EXIT_OK) code = cli_context_create(&args.common, &ctx);
-    if (code == CLI_EXIT_OK) {
-        const quell_status status = quell_model_open(ctx, args.common.model, &model);
-        code =
-            status == QUELL_OK ? run_with_report(ctx, model, &args) : cli_error_status(args.common.model, ctx, status);
-        /* Not a missing input: the file named by --model. */
-        if (status == QUELL_ERR_FILE_NOT_FOUND || status == QUELL_ERR_FILE_READ) code = CLI_EXIT_MODEL;
-    }
+    if (code == CLI_EXIT_OK) code = cli_model_open(&args.common, "denoise", ctx, &model);
+    if (code == CLI_EXIT_OK) code = run_with_report(ctx, model, &args);
     quell_model_destroy(model);
     cli_context_destroy(ctx);
     free_names(&args);

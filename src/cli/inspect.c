@@ -2,6 +2,7 @@
 /* quell inspect: what is in a file, and what denoise would do with it. */
 #include "cli/cli.h"
 #include "cli/json.h"
+#include "cli/model.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,7 +15,7 @@ static const char help_text[] =
     "'quell denoise' would do with each, and why.\n"
     "\n"
     "      --json            as JSON, an array with an object for each file\n"
-    "  -m, --model NAME|FILE plan for this model\n"
+    "      --quality LEVEL, -m, --model NAME|FILE   plan for this network, as in quell denoise\n"
     "  -l, --layers WHICH    plan for this choice of layers, as in quell denoise\n"
     "      --threads N, --max-memory MB, --cpu KERNELS   as in quell denoise\n"
     "  -h, --help\n";
@@ -34,6 +35,7 @@ static int parse(int argc, char **argv, inspect_args *args, int *wants_help)
     static const struct option options[] = {
         CLI_COMMON_OPTIONS,
         {"model", required_argument, NULL, 'm'},
+        {"quality", required_argument, NULL, CLI_OPT_QUALITY},
         {"layers", required_argument, NULL, 'l'},
         {"json", no_argument, NULL, OPT_JSON},
         {NULL, 0, NULL, 0},
@@ -130,7 +132,10 @@ static void print_table(const char *path, const quell_frame *frame, const quell_
 static void print_model(const quell_model *model)
 {
     quell_model_info info = {.struct_size = sizeof info};
-    if (quell_model_get_info(model, &info) == QUELL_OK) printf("model %s, SHA-256 %s\n", info.name, info.sha256);
+    char text[512];
+    if (quell_model_get_info(model, &info) != QUELL_OK) return;
+    cli_model_describe(&info, text, sizeof text);
+    printf("model %s, %s, SHA-256 %s\n", info.name, text, info.sha256);
 }
 
 /* ---- JSON -------------------------------------------------------------------------------------------------------- */
@@ -141,11 +146,8 @@ static cJSON *frame_json(const char *path, const quell_frame *frame, const quell
     cJSON *json = cJSON_CreateObject();
     quell_model_info model_info = {.struct_size = sizeof model_info};
     cJSON_AddStringToObject(json, "file", path);
-    if (quell_model_get_info(model, &model_info) == QUELL_OK) {
-        cJSON *object = cJSON_AddObjectToObject(json, "model");
-        cJSON_AddStringToObject(object, "name", model_info.name);
-        cJSON_AddStringToObject(object, "sha256", model_info.sha256);
-    }
+    if (quell_model_get_info(model, &model_info) == QUELL_OK)
+        cJSON_AddItemToObject(json, "model", cli_json_model(&model_info));
     quell_report_summary summary = {.struct_size = sizeof summary};
     if (report && quell_report_get_summary(report, &summary) == QUELL_OK) {
         cJSON_AddItemToObject(json, "plan", cli_json_summary(&summary));
@@ -203,11 +205,10 @@ int cli_inspect(int argc, char **argv)
     quell_model *model = NULL;
     code = cli_context_create(&args.common, &ctx);
     if (code != CLI_EXIT_OK) return code;
-    const quell_status status = quell_model_open(ctx, args.common.model, &model);
-    if (status != QUELL_OK) {
-        (void)cli_error_status(args.common.model, ctx, status);
+    code = cli_model_open(&args.common, "inspect", ctx, &model);
+    if (code != CLI_EXIT_OK) {
         cli_context_destroy(ctx);
-        return CLI_EXIT_MODEL;
+        return code;
     }
 
     cJSON *files = args.is_json ? cJSON_CreateArray() : NULL;

@@ -40,6 +40,18 @@ void cli_json_number(cJSON *object, const char *name, double value)
     }
 }
 
+cJSON *cli_json_model(const quell_model_info *info)
+{
+    const char *const level = quell_quality_name(info->quality);
+    cJSON *json = cJSON_CreateObject();
+    if (!json) return NULL;
+    cJSON_AddStringToObject(json, "name", info->name);
+    cJSON_AddItemToObject(json, "quality", level ? cJSON_CreateString(level) : cJSON_CreateNull());
+    cJSON_AddStringToObject(json, "file", info->weight_file);
+    cJSON_AddStringToObject(json, "sha256", info->sha256);
+    return json;
+}
+
 cJSON *cli_json_layer(const quell_layer_info *layer)
 {
     cJSON *json = cJSON_CreateObject();

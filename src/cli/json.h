@@ -11,6 +11,7 @@
 void cli_json_number(cJSON *object, const char *name, double value);
 
 /* Each returns a new object, or NULL without memory. */
+cJSON *cli_json_model(const quell_model_info *info);
 cJSON *cli_json_layer(const quell_layer_info *layer);
 cJSON *cli_json_report_layer(const quell_report_layer *layer);
 cJSON *cli_json_summary(const quell_report_summary *summary);

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The `quell` tool: picks the subcommand, and answers --help and --version. */
 #include "cli/cli.h"
+#include "cli/model.h"
 #include "cli/platform.h"
 
 #include <stdio.h>
@@ -37,7 +38,9 @@ static int print_models(quell_context *ctx)
         if (status != QUELL_OK) return cli_error_status(NULL, ctx, status);
         quell_model_info info = {.struct_size = sizeof info};
         if (quell_model_get_info(model, &info) == QUELL_OK) {
-            printf("model %s%s: %s\n", info.name, i == 0 ? " (default)" : "", info.description);
+            char text[512];
+            cli_model_describe(&info, text, sizeof text);
+            printf("model %s%s: %s, %s\n", info.name, i == 0 ? " (default)" : "", text, info.description);
             printf("  SHA-256 %s\n", info.sha256);
             printf("  %llu parameters, %.0f to %.0f multiply-adds per pixel\n", (unsigned long long)info.num_parameters,
                    info.macs_per_pixel, info.macs_per_pixel_all);
@@ -45,6 +48,18 @@ static int print_models(quell_context *ctx)
         quell_model_destroy(model);
     }
     return CLI_EXIT_OK;
+}
+
+/* Levels whose weight file the build lacked. */
+static void print_missing_levels(quell_context *ctx)
+{
+    for (int32_t quality = QUELL_QUALITY_FAST; quell_quality_name(quality); quality++) {
+        quell_model *model;
+        if (quell_model_open_quality(ctx, quality, &model) == QUELL_OK)
+            quell_model_destroy(model);
+        else
+            printf("%s\n", quell_context_last_error(ctx));
+    }
 }
 
 static void print_kernels(void)
@@ -73,6 +88,7 @@ static int print_version(int is_verbose)
     printf("in use here: %s, %u threads\n", quell_context_cpu_name(ctx), quell_context_num_threads(ctx));
     printf("OpenEXRCore %s\n", CLI_OPENEXR_VERSION);
     code = print_models(ctx);
+    print_missing_levels(ctx);
     cli_context_destroy(ctx);
     return code;
 }

@@ -1,6 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Puts the weight files into the library's read-only data, so that one file is all that an add-on ships. */
+/* Puts the weight files into the library's read-only data, so that one file is all that an add-on ships.
+ *
+ * The Makefile passes QL_WEIGHTS_DIR, their folder, and writes builtin_list.h, with a line QL_BUILTIN(id, "name") for
+ * each NAME.qwt in it, the default first. */
 #include "models/builtin.h"
+
+#include <string.h>
 
 #ifndef QL_WEIGHTS_DIR
 #error "define QL_WEIGHTS_DIR, the folder of the weight files"
@@ -29,14 +34,33 @@
             ".text\n")
 /* clang-format on */
 
-EMBED("ql_balanced", "quell-balanced.qwt");
-EMBED("ql_dgan_kpn", "dgan-kpn.qwt");
+#define QL_BUILTIN(id, name) EMBED("ql_builtin_" #id, name ".qwt");
+#include "builtin_list.h"
+#undef QL_BUILTIN
 
-extern const uint8_t ql_balanced_begin[], ql_balanced_end[], ql_dgan_kpn_begin[], ql_dgan_kpn_end[];
+#define QL_BUILTIN(id, name) extern const uint8_t ql_builtin_##id##_begin[], ql_builtin_##id##_end[];
+#include "builtin_list.h"
+#undef QL_BUILTIN
 
 const ql_builtin *ql_builtin_get(uint32_t index)
 {
-    static const ql_builtin builtins[] = {{"quell-balanced", ql_balanced_begin, ql_balanced_end},
-                                          {"dgan-kpn", ql_dgan_kpn_begin, ql_dgan_kpn_end}};
+    static const ql_builtin builtins[] = {
+#define QL_BUILTIN(id, name) {name, name ".qwt", ql_builtin_##id##_begin, ql_builtin_##id##_end},
+#include "builtin_list.h"
+#undef QL_BUILTIN
+    };
     return index < sizeof builtins / sizeof *builtins ? &builtins[index] : NULL;
+}
+
+const ql_builtin *ql_builtin_find(const char *name)
+{
+    const ql_builtin *builtin = NULL;
+    for (uint32_t i = 0; (builtin = ql_builtin_get(i)) != NULL; ++i)
+        if (strcmp(builtin->name, name) == 0) return builtin;
+    return NULL;
+}
+
+const char *ql_builtin_folder(void)
+{
+    return QL_WEIGHTS_DIR;
 }

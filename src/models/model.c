@@ -4,6 +4,7 @@
 
 #include "base/os.h"
 #include "models/builtin.h"
+#include "models/quality.h"
 
 #include <errno.h>
 #include <stdio.h>
@@ -22,6 +23,8 @@ struct ql_model {
         ql_dgan dgan;
     };
     char name[64], description[256], sha256[65];
+    char *file;      /* as quell_model_info has it */
+    int32_t quality; /* QUELL_QUALITY_*, 0 for none */
 };
 
 static quell_status load_network(ql_model *model, const char *kind, const ql_weights *weights, ql_error *err)
@@ -35,14 +38,27 @@ static quell_status load_network(ql_model *model, const char *kind, const ql_wei
                    weights->origin, kind);
 }
 
-quell_status ql_model_open_memory(const void *data, size_t size_bytes, const char *origin, ql_model **out,
-                                  ql_error *err)
+static void free_model(ql_model *model)
+{
+    ql_free(&model->memory, model->file);
+    free(model);
+}
+
+/* file: where the data is from, "" for memory; origin: what messages call it. */
+static quell_status open_data(const void *data, size_t size_bytes, const char *file, const char *origin, ql_model **out,
+                              ql_error *err)
 {
     ql_weights weights;
     *out = NULL;
     ql_model *const model = calloc(1, sizeof *model);
     if (model == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory", origin);
     ql_memory_init(&model->memory, 0);
+    model->file = ql_alloc(&model->memory, strlen(file) + 1, 1);
+    if (model->file == NULL) {
+        free_model(model);
+        return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "%s: out of memory", origin);
+    }
+    memcpy(model->file, file, strlen(file) + 1);
     quell_status status = ql_weights_open(&weights, data, size_bytes, origin, &model->memory, err);
     if (status == QUELL_OK) {
         char kind[32];
@@ -54,10 +70,22 @@ quell_status ql_model_open_memory(const void *data, size_t size_bytes, const cha
         ql_weights_close(&weights, &model->memory);
     }
     if (status != QUELL_OK) {
-        free(model);
+        free_model(model);
         return status;
     }
     *out = model;
+    return QUELL_OK;
+}
+
+quell_status ql_model_open_memory(const void *data, size_t size_bytes, ql_model **out, ql_error *err)
+{
+    return open_data(data, size_bytes, "", "weights in memory", out, err);
+}
+
+static quell_status open_builtin(const ql_builtin *builtin, ql_model **out, ql_error *err)
+{
+    QL_TRY(open_data(builtin->begin, (size_t)(builtin->end - builtin->begin), builtin->file, builtin->name, out, err));
+    (*out)->quality = ql_quality_of(builtin->name);
     return QUELL_OK;
 }
 
@@ -92,18 +120,15 @@ static quell_status read_file(const char *path, ql_memory *memory, uint8_t **dat
 quell_status ql_model_open(const char *name_or_path, ql_model **out, ql_error *err)
 {
     const char *const name = name_or_path && *name_or_path ? name_or_path : ql_builtin_get(0)->name;
+    const ql_builtin *const builtin = ql_builtin_find(name);
     *out = NULL;
-    for (uint32_t i = 0; ql_builtin_get(i); ++i) {
-        const ql_builtin *const builtin = ql_builtin_get(i);
-        if (strcmp(builtin->name, name) == 0)
-            return ql_model_open_memory(builtin->begin, (size_t)(builtin->end - builtin->begin), name, out, err);
-    }
+    if (builtin != NULL) return open_builtin(builtin, out, err);
     ql_memory memory;
     uint8_t *data = NULL;
     size_t size_bytes = 0;
     ql_memory_init(&memory, 0);
     QL_TRY(read_file(name, &memory, &data, &size_bytes, err));
-    const quell_status status = ql_model_open_memory(data, size_bytes, name, out, err);
+    const quell_status status = open_data(data, size_bytes, name, name, out, err);
     ql_free(&memory, data);
     return status;
 }
@@ -115,7 +140,7 @@ void ql_model_destroy(ql_model *model)
         ql_dgan_free(&model->dgan, &model->memory);
     else
         ql_net_free(&model->net, &model->memory);
-    free(model);
+    free_model(model);
 }
 
 void ql_model_get_info(const ql_model *model, quell_model_info *info)
@@ -126,6 +151,8 @@ void ql_model_get_info(const ql_model *model, quell_model_info *info)
     info->name = model->name;
     info->description = model->description;
     info->sha256 = model->sha256;
+    info->weight_file = model->file;
+    info->quality = model->quality;
     if (model->family == FAMILY_DGAN) {
         const double generator = ql_generator_macs_per_pixel(&model->dgan.generator);
         info->macs_per_pixel = generator + ql_kpn_macs_per_pixel(&model->dgan.kpn);

@@ -14,8 +14,7 @@ typedef struct ql_model ql_model;
 
 /* name_or_path: NULL or "" for the default, a built-in name, or a weight file. */
 quell_status ql_model_open(const char *name_or_path, ql_model **out, ql_error *err);
-quell_status ql_model_open_memory(const void *data, size_t size_bytes, const char *origin, ql_model **out,
-                                  ql_error *err);
+quell_status ql_model_open_memory(const void *data, size_t size_bytes, ql_model **out, ql_error *err);
 void ql_model_destroy(ql_model *model);
 void ql_model_get_info(const ql_model *model, quell_model_info *info); /* fills a full-size struct */
 const char *ql_model_builtin_name(uint32_t index);

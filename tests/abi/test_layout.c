@@ -23,7 +23,7 @@ static void structs_are_where_they_were(void **state)
     AT(quell_context_options, log, 32);
     AT(quell_context_options, log_user, 40);
 
-    SIZE(quell_model_info, 56);
+    SIZE(quell_model_info, 72);
     AT(quell_model_info, file_version, 4);
     AT(quell_model_info, name, 8);
     AT(quell_model_info, description, 16);
@@ -31,6 +31,9 @@ static void structs_are_where_they_were(void **state)
     AT(quell_model_info, num_parameters, 32);
     AT(quell_model_info, macs_per_pixel, 40);
     AT(quell_model_info, macs_per_pixel_all, 48);
+    AT(quell_model_info, weight_file, 56);
+    AT(quell_model_info, quality, 64);
+    AT(quell_model_info, reserved0, 68);
 
     SIZE(quell_image, 56);
     AT(quell_image, format, 4);
@@ -138,6 +141,10 @@ static void numbers_mean_what_they_meant(void **state)
     assert_int_equal(QUELL_ERR_LIMIT, -12);
     assert_int_equal(QUELL_ERR_INTERNAL, -13);
     assert_int_equal(QUELL_CPU_NEON, 4);
+    assert_int_equal(QUELL_QUALITY_DEFAULT, 0);
+    assert_int_equal(QUELL_QUALITY_FAST, 1);
+    assert_int_equal(QUELL_QUALITY_BALANCED, 2);
+    assert_int_equal(QUELL_QUALITY_HIGH, 3);
     assert_int_equal(QUELL_FORMAT_UINT, 2);
     assert_int_equal(QUELL_ROLE_NOISY_IMAGE, 2);
     assert_int_equal(QUELL_ROLE_EMISSION, 14);

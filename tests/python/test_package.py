@@ -88,7 +88,8 @@ def test_structs_are_those_of_the_header(package, root, tmp_path):
 def test_constants_are_those_of_the_header(package, root):
     native = package.native
     header = (root / "include" / "quell.h").read_text()
-    for table, prefix in ((native.CPU, "QUELL_CPU_"), (native.CODEC, "QUELL_CODEC_")):
+    tables = {"QUELL_CPU_": native.CPU, "QUELL_CODEC_": native.CODEC, "QUELL_QUALITY_": native.QUALITY}
+    for prefix, table in tables.items():
         for name, value in table.items():
             assert f"{prefix}{name.upper()} = {value}" in header
     for value, name in native.ACTION.items():
@@ -251,6 +252,38 @@ def test_roles(package):
         "Diffuse Direct": "diffuse-direct",
         "my value": "other",
     }
+
+
+def test_quality_levels(package, context, noisy):
+    """Each level that the library has gives its own network's result, by either way; the default is balanced."""
+    levels = package.qualities()
+    assert "balanced" in levels and set(levels) <= set(package.native.QUALITY)
+    results = {}
+    for level in [None, *levels]:
+        with context.new_frame(70, 48) as frame:
+            frame.add_layer("Combined", noisy)
+            assert context.plan(frame, quality=level).model == f"quell-{level or 'balanced'}"
+            assert context.denoise(frame, quality=level).model == f"quell-{level or 'balanced'}"
+            results[level] = frame.pixels("Combined")
+        with context.open_model(quality=level) as model:
+            assert model.info.quality == (level or "balanced") and model.info.weight_file == f"{model.info.name}.qwt"
+    assert np.array_equal(results[None], results["balanced"])
+    assert np.array_equal(results[None], denoised(context, noisy))
+    assert len({results[level].tobytes() for level in levels}) == len(levels)
+
+
+def test_quality_is_refused_with_a_model_and_where_it_is_none(package, context, noisy):
+    with context.open_model() as model, context.new_frame(70, 48) as frame:
+        frame.add_layer("Combined", noisy)
+        with pytest.raises(package.QuellError, match="one of them"):
+            context.denoise(frame, model, quality="high")
+        with pytest.raises(package.QuellError, match="known: fast, balanced, high"):
+            context.denoise(frame, quality="best")
+    with pytest.raises(package.QuellError, match="one of them"):
+        context.open_model("dgan-kpn", quality="high")
+    for level in set(package.native.QUALITY) - set(package.qualities()):
+        with pytest.raises(package.FileError, match=f"weights/quell-{level}.qwt"):
+            context.open_model(quality=level)
 
 
 def test_closed_handles_say_so(package, context):
