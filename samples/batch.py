@@ -54,7 +54,8 @@ def main() -> int:
     parser.add_argument("source", help="rendered files, with # for the frame's number")
     parser.add_argument("output", help="results, with # for the frame's number")
     parser.add_argument("--frames", type=frame_numbers, required=True, help="such as 1-24,30")
-    parser.add_argument("--model", default="", help="a built-in model or a weight file")
+    parser.add_argument("--quality", default="", help=f"{', '.join(quell.native.QUALITY)} (default: balanced)")
+    parser.add_argument("--model", default="", help="instead of a level: a built-in model or a weight file")
     parser.add_argument("--layers", help="all (the default), beauty, or names, comma-separated")
     parser.add_argument("--keep-noisy", action="store_true", help="keep the noisy Combined as 'Noisy Image'")
     parser.add_argument("--threads", type=int, default=0, help="default: one per core")
@@ -66,8 +67,13 @@ def main() -> int:
         if "#" not in pattern and len(options.frames) > 1:
             parser.error(f"'{pattern}' has no # for the frame's number")
 
+    context = quell.Context(threads=options.threads)
+    try:
+        model = context.open_model(options.model, options.quality)
+    except quell.QuellError as error:
+        parser.error(str(error))
     failed = 0
-    with quell.Context(threads=options.threads) as context, context.open_model(options.model) as model:
+    with context, model:
         for index, number in enumerate(options.frames):
             source, output = file_of(options.source, number), file_of(options.output, number)
             start = time.perf_counter()

@@ -39,6 +39,8 @@ def draw_status(layout: bpy.types.UILayout) -> None:
 
 def _draw_warnings(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """What stands in the way of a good result."""
+    if scene.quell.quality.lower() not in library.qualities():
+        _draw_text(layout.column(align=True), "This add-on was packed without the network of that quality.", "ERROR")
     view_layers = [layer for layer in scene.view_layers if layer.use]
     if any(cycles_settings.denoises(scene, layer) for layer in view_layers):
         column = layout.column(align=True)
@@ -79,7 +81,7 @@ class QUELL_PT_render(_QuellPanel, bpy.types.Panel):
         column.active = settings.enabled
         column.prop(settings, "when")
         column = layout.column()
-        column.prop(settings, "model")
+        column.prop(settings, "quality")
         column.prop(settings, "layers")
         if settings.layers == "NAMES":
             column.prop(settings, "layer_names")

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import dataclasses
-import zlib
 
 import bpy
 
-from ..io import files, library
+from ..io import files
 from ..io.settings import ADD_PASS, REPLACE, Settings
 from . import cycles_settings, preferences
 
@@ -19,20 +18,6 @@ WHEN_BUTTON = "BUTTON"
 OUTPUT_RENDER = "RENDER"
 OUTPUT_FILE = "FILE"
 OUTPUT_BOTH = "BOTH"
-
-_model_items: list[tuple[str, str, str, str, int]] = []  # Blender needs the texts to stay alive
-
-
-def _list_models(_self: object, _context: object) -> list[tuple[str, str, str, str, int]]:
-    names = library.models()
-    items = [("DEFAULT", "Default", f"What the library recommends ({names[0] if names else 'not loaded'})", "", 0)]
-    for name in names:
-        # Saved files keep the number: it must not depend on a model's place in the list.
-        number = zlib.crc32(name.encode()) & 0x7FFFFFFF
-        items.append((name, name.removeprefix("quell-").replace("-", " ").title(), f"The model {name}", "", number))
-    if items != _model_items:
-        _model_items[:] = items
-    return _model_items
 
 
 def _enabled_changed(self: QuellSettings, context: bpy.types.Context) -> None:
@@ -64,10 +49,15 @@ class QuellSettings(bpy.types.PropertyGroup):
         ],
         default=WHEN_ALWAYS,
     )
-    model: bpy.props.EnumProperty(
+    quality: bpy.props.EnumProperty(
         name="Quality",
-        description="The network that denoises: better ones take longer",
-        items=_list_models,
+        description="How much work Quell puts into a picture. All levels clean the same passes",
+        items=[
+            ("FAST", "Fast", "The shortest wait: for test renders and previews"),
+            ("BALANCED", "Balanced", "For most renders and animations: good detail in little time"),
+            ("HIGH", "High", "The cleanest picture and the finest detail, for final frames. Takes longest"),
+        ],
+        default="BALANCED",
     )
     layers: bpy.props.EnumProperty(
         name="Passes",
@@ -122,7 +112,7 @@ class QuellSettings(bpy.types.PropertyGroup):
         """The settings as values that any thread may read."""
         machine = preferences.get()
         return Settings(
-            model="" if self.model in ("", "DEFAULT") else self.model,
+            quality=self.quality.lower(),
             layers={"ALL": None, "COMBINED": "beauty", "NAMES": self.layer_names}[self.layers],
             keep_noisy=self.keep_noisy,
             target=self.target,

@@ -10,7 +10,7 @@ from pathlib import Path
 from . import files, library
 from .journal import EXIT_FAILED
 from .outcome import Outcome
-from .settings import Settings
+from .settings import LEVELS, Settings
 
 EXIT_USAGE = 2
 
@@ -23,7 +23,11 @@ def command(arguments: list[str]) -> int:
     except SystemExit as stop:  # argparse's way to end; Blender would go on to its own exit code
         return int(stop.code or 0)
     settings = Settings(
-        model=options.model, layers=options.layers, keep_noisy=options.keep_noisy, threads=options.threads
+        quality=options.quality,
+        model=options.model,
+        layers=options.layers,
+        keep_noisy=options.keep_noisy,
+        threads=options.threads,
     )
     try:
         library.quell()
@@ -53,7 +57,11 @@ def _parser() -> argparse.ArgumentParser:
     denoise.add_argument("files", nargs="+", help="EXR files, or folders of them")
     denoise.add_argument("-o", "--out", type=Path, help="folder for the results; default: beside each file")
     denoise.add_argument("-n", "--name", default=files.DEFAULT_PATTERN, help="name of a result (default: %(default)s)")
-    denoise.add_argument("-m", "--model", default="", help="a built-in model or a weight file")
+    network = denoise.add_mutually_exclusive_group()
+    network.add_argument(
+        "--quality", choices=LEVELS, default="", help="larger networks take longer (default: balanced)"
+    )
+    network.add_argument("-m", "--model", default="", help="a built-in model or a weight file")
     denoise.add_argument("-l", "--layers", help="all (the default), beauty, or names, comma-separated")
     denoise.add_argument("--keep-noisy", action="store_true", help="keep the noisy Combined as 'Noisy Image'")
     denoise.add_argument("--threads", type=int, default=0, help="default: one per core")

@@ -74,7 +74,7 @@ def denoise_file(
     outcome = Outcome()
     with quell().Context(threads=settings.threads, max_memory_bytes=settings.max_memory_bytes) as context:
         start = time.perf_counter()
-        with context.open_model(settings.model) as model, context.read_exr(source) as frame:
+        with context.open_model(settings.model, settings.quality) as model, context.read_exr(source) as frame:
             read = time.perf_counter()
             outcome.add_seconds("read", read - start)
             layers = frame.layers

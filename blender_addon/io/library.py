@@ -55,6 +55,12 @@ def models() -> tuple[str, ...]:
     return tuple(quell().models()) if not problem() else ()
 
 
+@functools.lru_cache(maxsize=1)
+def qualities() -> tuple[str, ...]:
+    """Quality levels whose network is inside the library; empty while it cannot be loaded."""
+    return tuple(quell().qualities()) if not problem() else ()
+
+
 _roles: dict[tuple[str, int], str] = {}
 
 

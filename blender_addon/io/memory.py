@@ -65,7 +65,7 @@ def denoise_layers(
     outcome = Outcome()
     results: list[tuple[RenderLayer, _Result]] = []
     with quell().Context(threads=settings.threads, max_memory_bytes=settings.max_memory_bytes) as context:
-        with context.open_model(settings.model) as model:
+        with context.open_model(settings.model, settings.quality) as model:
             for index, layer in enumerate(layers):
                 if not _is_worth(layer, outcome):
                     continue

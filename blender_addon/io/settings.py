@@ -8,6 +8,8 @@ from dataclasses import dataclass
 REPLACE = "REPLACE"  # the result takes the place of the noisy passes
 ADD_PASS = "PASS"  # the result is a pass of its own, all others stay
 
+LEVELS = ("fast", "balanced", "high")  # of quality, as the library names them
+
 PASS_NAME = "Quell"
 # Not "Noisy Image": where that pass is asked for, Cycles expects to denoise, and leaves Combined black otherwise.
 KEPT_NAME = "Quell Noisy"
@@ -16,7 +18,8 @@ NOISY_NAME = "Noisy Image"  # Cycles' own, beside a Combined that it denoised
 
 @dataclass(frozen=True)
 class Settings:
-    model: str = ""  # "" is the library's default
+    quality: str = ""  # one of LEVELS; "" is the library's default
+    model: str = ""  # instead of a level: a built-in model or a weight file
     layers: str | None = None  # None: what suits the model, else "all", "beauty", or names, comma-separated
     keep_noisy: bool = False
     target: str = REPLACE

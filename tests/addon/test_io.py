@@ -164,6 +164,41 @@ def test_one_bad_file_does_not_stop_the_others(addon, data, tmp_path):
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["b_quell.exr"]
 
 
+def test_quality_reaches_the_library(addon, data, tmp_path, quell):
+    """From the settings, for pixels and for files; a level that the library lacks is refused by its weight file."""
+    present = addon.library.qualities()
+    assert "balanced" in present
+    assert tuple(addon.library.quell().native.QUALITY) == addon.settings.LEVELS
+    pixels = {}
+    for level in addon.settings.LEVELS:
+        canvas, settings, out = Canvas(addon, GUIDED), addon.settings.Settings(quality=level), tmp_path / f"{level}.exr"
+        if level not in present:
+            with pytest.raises(addon.library.quell().FileError, match=f"quell-{level}.qwt"):
+                canvas.denoise(addon, quality=level)
+            with pytest.raises(addon.library.quell().FileError, match=f"quell-{level}.qwt"):
+                addon.files.denoise_file(data / "45_none.exr", out, settings, no_progress)
+            assert not canvas.written and not out.exists()
+            continue
+        canvas.denoise(addon, quality=level)
+        pixels[level] = canvas.written["Combined"].tobytes()
+        addon.files.denoise_file(data / "45_none.exr", out, settings, no_progress)
+        quell.ok("denoise", data / "45_none.exr", "-o", tmp_path / "tool.exr", "-q", "--quality", level)
+        assert out.read_bytes() == (tmp_path / "tool.exr").read_bytes()
+    assert len(set(pixels.values())) == len(present)
+
+
+def test_the_command_takes_a_quality(addon, data, tmp_path, quell, capsys):
+    source = str(data / "45_none.exr")
+    command = ["denoise", source, "-o", str(tmp_path / "out")]
+    assert addon.command.command([*command, "--quality", "balanced"]) == 0
+    quell.ok("denoise", source, "-o", tmp_path / "tool.exr", "-q")
+    assert (tmp_path / "out" / "45_none_quell.exr").read_bytes() == (tmp_path / "tool.exr").read_bytes()
+    assert addon.command.command([*command, "--quality", "best"]) == 2
+    assert "'best'" in capsys.readouterr().err
+    assert addon.command.command([*command, "--quality", "balanced", "--model", "dgan-kpn"]) == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
 def test_two_results_of_one_name_are_refused(addon, tmp_path):
     sources = [tmp_path / "x" / "a.exr", tmp_path / "y" / "a.exr"]
     arguments = (addon.settings.Settings(), "{name}", tmp_path, False, no_progress)

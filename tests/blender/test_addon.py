@@ -106,6 +106,14 @@ def test_same_bits_as_the_tool(work, tool, name):
     assert any(noisy[key].tobytes() != result[key].tobytes() for key in combined)
 
 
+@pytest.mark.parametrize("level", ["fast", "balanced", "high"])
+def test_quality_levels(work, tool, level):
+    result = read(work / f"quality_{level}.exr")
+    has_network = (ROOT / "weights" / f"quell-{level}.qwt").exists()
+    noisy = work / "noisy.exr"
+    assert_same(result, tool(noisy, ["--quality", level]) if has_network else read(noisy))
+
+
 @pytest.mark.parametrize("name", SAME_AS_NOISY)
 def test_the_render_is_kept(work, name):
     assert_same(read(work / name), read(work / "noisy.exr"))

@@ -73,6 +73,22 @@ def test_batch_reports_what_failed(batch, frames):
     assert batch("--frames", "1-2", source="shot.exr").returncode == 2
 
 
+def test_batch_takes_a_quality(batch, frames, quell, tmp_path, root):
+    for level in ("fast", "balanced", "high"):
+        done = batch("--frames", "1", "--quality", level)
+        if (root / "weights" / f"quell-{level}.qwt").exists():
+            assert done.returncode == 0, done.stderr
+            quell.ok("denoise", frames / "shot_0001.exr", "-o", tmp_path / "tool.exr", "-q", "--quality", level)
+            result = tmp_path / "clean" / "shot_0001.exr"
+            assert result.read_bytes() == (tmp_path / "tool.exr").read_bytes()
+            result.unlink()
+        else:
+            assert done.returncode == 2 and f"quell-{level}.qwt" in done.stderr
+    for options, said in ((["--quality", "best"], "fast, balanced, high"), (["--model", "dgan-kpn"], "one of them")):
+        done = batch("--frames", "1", "--quality", "high", *options)
+        assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+
+
 def test_open_job_description(root, frames, environment, tmp_path):
     openjd = Path(sys.executable).parent / "openjd"
     assert openjd.exists(), "openjd-cli is not installed: scripts/requirements-farm.txt"
@@ -106,6 +122,7 @@ def test_flamenco_job_type(root, tmp_path):
         "settings": {
             "frames": "1-6",
             "chunk_size": 5,
+            "quality": "HIGH",
             "passes": "ALL",
             "keep_noisy": True,
             "blendfile": "/a b.blend",
@@ -125,7 +142,7 @@ def test_flamenco_job_type(root, tmp_path):
     assert arguments[-2:] == ["--render-frame", "1..5"]
     expression = arguments[arguments.index("--python-expr") + 1]
     compile(expression, "expression", "exec")
-    assert "q.keep_noisy = True" in expression
+    assert "q.keep_noisy = True" in expression and "q.quality = 'HIGH'" in expression
     assert {setting["type"] for setting in output["type"]["settings"]} <= {"string", "int32", "float", "bool"}
 
 

@@ -106,6 +106,16 @@ def combined_only(scene):
 
 
 @check
+def quality_levels(scene):
+    """Levels whose network was packed work; with another the render is kept, and its weight file is named."""
+    for level in part("io.settings").LEVELS:
+        enable(scene, quality=level.upper())
+        test_scene.render(scene, WORK / f"quality_{level}.exr")
+        is_there = level in part("io.library").qualities()
+        assert ("Denoised " if is_there else f"quell-{level}.qwt") in status(), status()
+
+
+@check
 def by_name(scene):
     enable(scene, layers="NAMES", layer_names="Combined, no such pass")
     test_scene.render(scene, WORK / "no_such_pass.exr")
