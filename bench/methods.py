@@ -7,7 +7,6 @@ memory to memory.
 
 from __future__ import annotations
 
-import inspect
 import sys
 import time
 from collections.abc import Callable
@@ -49,7 +48,7 @@ class Method:
 
 
 class Ours:
-    def __init__(self, passes: dict[str, np.ndarray], spp: int, threads: int, model: str, options: dict) -> None:
+    def __init__(self, passes: dict[str, np.ndarray], spp: int, threads: int, model: str) -> None:
         import quell
 
         self.context = quell.Context(threads=threads)
@@ -59,12 +58,11 @@ class Ours:
         for name, pixels in passes.items():
             self.frame.add_layer(name, pixels)
         self.frame.set_samples(spp)
-        self.options = options
         self.report = None
 
     def run(self) -> float:
         start = time.perf_counter()
-        self.report = self.context.denoise(self.frame, self.model, **self.options)
+        self.report = self.context.denoise(self.frame, self.model)
         return time.perf_counter() - start
 
     def combined(self) -> np.ndarray:
@@ -80,33 +78,25 @@ def only_combined(passes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: passes[name] for name in ("Combined", *GUIDES) if name in passes}
 
 
-def our_levels() -> dict[str, tuple[str, dict]]:
-    """Name -> model and options of a denoise: every built-in model, at every quality level where there are any."""
+def our_models() -> list[str]:
+    """The networks inside the library: the quality levels, and what else there is."""
     import quell
 
-    levels = {}
-    qualities = getattr(quell.native, "QUALITY", {})
-    takes_quality = "quality" in inspect.signature(quell.Context.denoise).parameters
-    for model in quell.models():
-        if takes_quality and qualities and model == quell.models()[0]:
-            levels |= {f"quell {quality}": (model, {"quality": quality}) for quality in qualities}
-        else:
-            levels[model] = (model, {})
-    return levels
+    return quell.models()
 
 
 def our_methods() -> list[Method]:
     methods = []
-    for name, (model, options) in our_levels().items():
+    for model in our_models():
 
-        def all_passes(passes, spp, threads, model=model, options=options):
-            return Ours(passes, spp, threads, model, options)
+        def all_passes(passes, spp, threads, model=model):
+            return Ours(passes, spp, threads, model)
 
-        def beauty(passes, spp, threads, model=model, options=options):
-            return Ours(only_combined(passes), spp, threads, model, options)
+        def beauty(passes, spp, threads, model=model):
+            return Ours(only_combined(passes), spp, threads, model)
 
-        methods.append(Method(name, True, all_passes))
-        methods.append(Method(f"{name}, beauty", True, beauty))
+        methods.append(Method(model, True, all_passes))
+        methods.append(Method(f"{model}, beauty", True, beauty))
     return methods
 
 

@@ -152,12 +152,10 @@ def measure_layers(bench: Bench) -> list[dict[str, object]]:
 
     for layers in bench.plan.layers:
         say(f"layers: {layers}")
-        for name, (model, options) in methods.our_levels().items():
+        for model in methods.our_models():
             command = ["bench", "--json", "--size", f"{width}x{height}", "--layers", layers, "--runs", bench.plan.runs]
             command += ["--threads", bench.threads, "--model", model]
-            for option, value in options.items():
-                command += [f"--{option}", value]
-            add(name, layers, bench.tool(*command))
+            add(model, layers, bench.tool(*command))
     if bench.has_peer:
         nodes = bench.plan.peer_layers
         passes = made_up(width, height)
@@ -188,19 +186,17 @@ def measure_resolution(bench: Bench) -> list[dict[str, object]]:
         say(f"resolution: {size}")
         row = bench.facts() | {"size": size, "width": width, "height": height, "threads": bench.threads}
         runs = max(1, min(bench.plan.runs, 3))
-        for name, (model, options) in methods.our_levels().items():
+        for model in methods.our_models():
             for layers in (1, 10):
                 # A frame of ten float layers and as many results at 8K is some ten gigabytes.
                 if layers == 10 and width * height > 4096 * 2304:
                     continue
                 command = ["bench", "--json", "--size", f"{width}x{height}", "--layers", layers, "--runs", runs]
                 command += ["--threads", bench.threads, "--model", model]
-                for option, value in options.items():
-                    command += [f"--{option}", value]
                 result = bench.tool(*command)
                 rows.append(
                     row
-                    | {"method": name, "layers": layers, "median_s": result["median_s"], "tiles": result["tiles"]}
+                    | {"method": model, "layers": layers, "median_s": result["median_s"], "tiles": result["tiles"]}
                     | {"working_mb": result["peak_bytes"] / MEBI}
                 )
         for setting, (_, _, macs) in methods.PEER_SETTINGS.items() if bench.has_peer else ():
@@ -230,43 +226,50 @@ def peak_resident_mb() -> float:
 
 
 def measure_job(bench: Bench) -> list[dict[str, object]]:
-    rows = []
+    import quell
+
     oiiotool = shutil.which("oiiotool")
     if not oiiotool:
         say("oiiotool is not there: its columns stay empty")
-    report, ours, copy = bench.work / "report.json", bench.work / "ours.exr", bench.work / "copy.exr"
+    rows = []
     for size in bench.plan.job_sizes:
-        width, height = SIZES[size]
         for layers in bench.plan.job_layers:
-            say(f"job: {size}, {layers} layers")
             path = bench.work / f"{size}_{layers}.exr"
-            pictures.write_exr(path, width, height, pictures.LIGHT[: layers - 1])
-            reports, resident = [], []
-
-            def denoise(path=path, reports=reports, resident=resident) -> float:
-                command = [bench.quell, "denoise", path, "-q", "-o", ours, "--report", report]
-                ended = timed_process([*command, "--threads", bench.threads])
-                reports.append(json.loads(report.read_text())["files"][0])
-                resident.append(ended.resident_mb)
-                return ended.seconds
-
-            jobs = {"quell": denoise}
-            if oiiotool:
-                command = [oiiotool, "--threads", bench.threads, "-a", path, "-o", copy]
-                jobs["oiiotool"] = lambda command=command: timed_process(command).seconds
-            seconds = interleaved(jobs, max(1, min(bench.plan.runs, 3)))
-            stages = {f"{s}_s": median(r["stages"][s] for r in reports[1:]) for s in reports[0]["stages"]}
-            row = bench.facts() | {"size": size, "width": width, "height": height, "threads": bench.threads}
-            row |= {"layers": layers, "input_mb": path.stat().st_size / MEBI}
-            row |= {"whole_s": median(seconds["quell"]), "denoise_s": median(r["seconds_denoise"] for r in reports[1:])}
-            row |= {"oiiotool_s": median(seconds["oiiotool"]) if oiiotool else ""} | stages
-            row |= {"working_mb": reports[0]["summary"]["peak_bytes"] / MEBI, "resident_mb": max(resident)}
-            row |= {"output_mb": ours.stat().st_size / MEBI}
-            row |= {"copy_mb": copy.stat().st_size / MEBI if oiiotool else ""}
-            rows.append(row)
-            for each in (path, ours, copy):
-                each.unlink(missing_ok=True)
+            pictures.write_exr(path, *SIZES[size], pictures.LIGHT[: layers - 1])
+            for quality in quell.qualities():
+                say(f"job: {size}, {layers} layers, {quality}")
+                width, height = SIZES[size]
+                row = bench.facts() | {"size": size, "width": width, "height": height, "threads": bench.threads}
+                row |= {"layers": layers, "quality": quality, "input_mb": path.stat().st_size / MEBI}
+                rows.append(row | measure_one_job(bench, path, quality, oiiotool))
+            path.unlink()
     return rows
+
+
+def measure_one_job(bench: Bench, path: Path, quality: str, oiiotool: str | None) -> dict[str, object]:
+    report, ours, copy = bench.work / "report.json", bench.work / "ours.exr", bench.work / "copy.exr"
+    reports, resident = [], []
+
+    def denoise() -> float:
+        command = [bench.quell, "denoise", path, "-q", "-o", ours, "--report", report, "--quality", quality]
+        ended = timed_process([*command, "--threads", bench.threads])
+        reports.append(json.loads(report.read_text())["files"][0])
+        resident.append(ended.resident_mb)
+        return ended.seconds
+
+    jobs = {"quell": denoise}
+    if oiiotool:
+        command = [oiiotool, "--threads", bench.threads, "-a", path, "-o", copy]
+        jobs["oiiotool"] = lambda: timed_process(command).seconds
+    seconds = interleaved(jobs, max(1, min(bench.plan.runs, 3)))
+    stages = {f"{s}_s": median(r["stages"][s] for r in reports[1:]) for s in reports[0]["stages"]}
+    row = {"whole_s": median(seconds["quell"]), "denoise_s": median(r["seconds_denoise"] for r in reports[1:])}
+    row |= {"oiiotool_s": median(seconds["oiiotool"]) if oiiotool else ""} | stages
+    row |= {"working_mb": reports[0]["summary"]["peak_bytes"] / MEBI, "resident_mb": max(resident)}
+    row |= {"output_mb": ours.stat().st_size / MEBI, "copy_mb": copy.stat().st_size / MEBI if oiiotool else ""}
+    ours.unlink()
+    copy.unlink(missing_ok=True)
+    return row
 
 
 # ---- The program -----------------------------------------------------------------------------------------------------

@@ -141,13 +141,15 @@ class Results:
 
     def jobs(self) -> list[dict]:
         found = []
+        has_levels = len({row["quality"] for row in self.rows("job")}) > 1
         for row in self.rows("job"):
             stages = {k.removesuffix("_s"): float(v) for k, v in row.items() if k in STAGE_COLUMNS}
             stages["rest"] = max(0.0, float(row["whole_s"]) - sum(stages.values()))
             layers = int(row["layers"])
+            name = f"{row['size']}, {layers} {'layer' if layers == 1 else 'layers'}"
             found.append(
                 {
-                    "name": f"{row['size']}, {layers} {'layer' if layers == 1 else 'layers'}",
+                    "name": f"{name}, {row['quality']}" if has_levels else name,
                     "size": row["size"],
                     "layers": layers,
                     "megapixels": int(row["width"]) * int(row["height"]) / 1e6,

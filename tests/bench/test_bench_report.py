@@ -90,6 +90,43 @@ def write_results(folder) -> None:
     write_csv(folder / "m-layers.csv", [layers(*c) for c in counts])
 
 
+def job(layers: int, quality: str) -> dict:
+    row = FACTS | {"size": "480p", "width": 854, "height": 480, "threads": 2, "layers": layers, "quality": quality}
+    stages = ("decode", "analyse", "features", "network", "filter", "recombine", "encode")
+    row |= {f"{stage}_s": 0.125 for stage in stages} | {"whole_s": 1.0, "oiiotool_s": ""}
+    return row | {name: 1.0 for name in ("working_mb", "resident_mb", "output_mb", "copy_mb")}
+
+
+@pytest.mark.parametrize(
+    ("levels", "names"),
+    [(["balanced"], ["480p, 1 layer"]), (["fast", "high"], ["480p, 1 layer, fast", "480p, 1 layer, high"])],
+)
+def test_jobs_are_told_apart_by_their_level(tmp_path, levels, names):
+    write_csv(tmp_path / "m-job.csv", [job(1, level) for level in levels])
+    jobs = Results.read(tmp_path, "m").jobs()
+    assert [one["name"] for one in jobs] == names and jobs[0]["stages"]["rest"] == pytest.approx(0.125)
+
+
+def test_every_network_is_measured(quell, monkeypatch, build):
+    """Each twice: with all passes, and with Combined and the guides alone."""
+    monkeypatch.setenv("QUELL_LIBRARY", str(build / "lib" / "libquell.so"))
+    from bench import methods
+
+    names = [
+        line.split()[1].rstrip(":")
+        for line in quell.ok("--version", "-v").stdout.splitlines()
+        if line.startswith("model ")
+    ]
+    assert methods.our_models() == names and {"quell-balanced", "dgan-kpn"} <= set(names)
+    ours = methods.our_methods()
+    assert [m.name for m in ours] == [text for name in names for text in (name, f"{name}, beauty")]
+    passes = {"Combined": np.random.default_rng(5).random((40, 50, 3), dtype=np.float32)}
+    for method in ours:
+        ready = method.set_up(passes, 4, 1)
+        assert ready.run() > 0 and np.isfinite(ready.combined()).all()
+        ready.close()
+
+
 def test_results(tmp_path):
     write_results(tmp_path)
     results = Results.read(tmp_path, "m")
