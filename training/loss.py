@@ -9,6 +9,7 @@ from torch import Tensor
 
 from training.features import Layers
 from training.models.quell import Denoised
+from training.native import RelativeError
 
 MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
 NOISE_FLOOR = 0.004  # error of an input that needs nothing done to it; targets are no cleaner
@@ -16,7 +17,7 @@ EPSILON = 0.01  # of relMSE (docs: error with two references)
 TURN = 2.0  # relative error from which on the loss is linear
 
 
-def relative_error(image: Tensor, target: Tensor) -> Tensor:
+def relative_error_reference(image: Tensor, target: Tensor) -> Tensor:
     """Pseudo-Huber of the relative error: squared up to TURN, so that noise in the target cancels; linear beyond, so
     that one firefly does not decide a step. Relative to the estimate, because the target's own noise in the denominator
     would pull the result down, but to no more than twice the target's surroundings: an estimate that is far too bright
@@ -28,11 +29,24 @@ def relative_error(image: Tensor, target: Tensor) -> Tensor:
     return (turn * (torch.sqrt(1 + squared / turn) - 1)).flatten(1).mean(1)
 
 
+def relative_error(image: Tensor, target: Tensor) -> Tensor:
+    """`relative_error_reference`, in C where the data is on the CPU."""
+    if image.device.type == "cpu":
+        return RelativeError.apply(image, target, 1, EPSILON, TURN)
+    return relative_error_reference(image, target)
+
+
 def multiscale(image: Tensor, target: Tensor) -> Tensor:
     """Relative error of pixels and of means over 4x4 and 16x16: the latter hold the residual blotches and the bias."""
-    total = relative_error(image, target)
+    if image.device.type == "cpu":
+        return RelativeError.apply(image, target, 3, EPSILON, TURN)
+    return multiscale_reference(image, target)
+
+
+def multiscale_reference(image: Tensor, target: Tensor) -> Tensor:
+    total = relative_error_reference(image, target)
     for size in (4, 16):
-        total = total + 0.5 * relative_error(F.avg_pool2d(image, size), F.avg_pool2d(target, size))
+        total = total + 0.5 * relative_error_reference(F.avg_pool2d(image, size), F.avg_pool2d(target, size))
     return total
 
 
@@ -59,16 +73,20 @@ def worth(noisy: Tensor, target: Tensor) -> Tensor:
     return 1 / (relative_error(noisy, target) + NOISE_FLOOR)
 
 
+def combined_loss(made: Tensor, target: Tensor) -> Tensor:
+    """Of Combined, by whichever way it was made. One value per crop."""
+    return multiscale(made, target) + 0.4 * energy(made, target) + 0.2 * tone_l1(made, target)
+
+
 def quell_loss(out: Denoised, noisy: Layers, target: Layers) -> Tensor:
-    """Combined first, its two makings and the passes second."""
+    """Combined first, the passes it is the sum of second."""
     weight = worth(noisy.beauty, target.beauty)
-    main = multiscale(out.combined, target.beauty) + 0.4 * energy(out.combined, target.beauty)
-    total = (weight * (main + 0.2 * tone_l1(out.combined, target.beauty))).mean()
+    total = noisy.beauty.new_zeros(())
+    for made in (out.direct, out.rebuilt):
+        if made is not None:
+            total = total + (weight * combined_loss(made, target.beauty)).mean()
     if out.light is None:
         return total
-    for part in (out.direct, out.rebuilt):
-        side = 0.25 * multiscale(part, target.beauty) + 0.1 * energy(part, target.beauty)
-        total = total + (weight * side).mean()
     for i in range(4):
         light, wanted, given = out.light[:, i], target.light[:, i], noisy.light[:, i]
         made = light.sum(1) * out.color[:, i] if i < 3 else light.sum(1)

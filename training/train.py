@@ -28,8 +28,10 @@ from training.data.crops import CropConfig, RawBatch, draw_batch, finish_batch, 
 from training.data.roster import Roster, RosterError
 from training.data.stream import stream
 from training.device import autocast, choose_device, describe, move
+from training.grow import origin_model
 from training.loss import quell_loss
 from training.models.quell import GROUPS, Quell, QuellConfig, multiply_adds
+from training.muon import make_optimisers
 from training.paths import state_root
 
 CHECKPOINT_SECONDS = 120
@@ -49,6 +51,7 @@ class TrainConfig:
     clip: float = 3.0  # gradient norm
     ema: float = 0.998
     bfloat16: bool = True
+    muon: bool = True  # for the body's convolutions; AdamW for the rest
     seed: int = 1
 
 
@@ -129,14 +132,15 @@ def train(
     torch.manual_seed(config.seed)
     model = (copy.deepcopy(origin) if origin else Quell(config.model)).to(device)
     ema = copy.deepcopy(model)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=config.rate, betas=(0.9, 0.99), weight_decay=1e-4)
+    optimisers = make_optimisers(model, config.muon, config.rate)
     step, average = 0, None
     checkpoint = folder / "checkpoint.pt"
     if checkpoint.exists():
         state = torch.load(checkpoint, weights_only=True, map_location=device)
         model.load_state_dict(state["model"])
         ema.load_state_dict(state["ema"])
-        optimiser.load_state_dict(state["optimiser"])
+        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
         step, average = state["step"], state.get("average")
     else:
         saved = {"config": dataclasses.asdict(config), "git": git_revision(), "device": describe(device)}
@@ -153,7 +157,7 @@ def train(
         return {
             "model": model.state_dict(),
             "ema": ema.state_dict(),
-            "optimiser": optimiser.state_dict(),
+            "optimisers": [optimiser.state_dict() for optimiser in optimisers],
             "step": step,
             "average": average,
             "frames": len(frames),
@@ -170,16 +174,17 @@ def train(
         batch = next(batches)
         if isinstance(batch, RawBatch):
             batch = finish_batch(move(batch, device))
-        for group in optimiser.param_groups:
-            group["lr"] = rate_at(step, config)
         with autocast(device, config.bfloat16):
-            out = model(batch.features, batch.layers)
+            out = model(batch.features, batch.layers, batch.with_direct)
         loss = quell_loss(out, batch.layers, batch.target)
-        optimiser.zero_grad(set_to_none=True)
+        model.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         if torch.isfinite(norm):
-            optimiser.step()
+            for optimiser in optimisers:
+                for group in optimiser.param_groups:
+                    group["lr"] = rate_at(step, config)
+                optimiser.step()
             update_ema(ema, model, min(config.ema, (1 + step) / (10 + step)))
         step += 1
         value = float(loss.detach())
@@ -211,6 +216,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", required=True)
     parser.add_argument("--config", type=Path, help="JSON; defaults are TrainConfig's")
+    parser.add_argument("--origin", type=Path, help="a weight file to begin with, of this width or narrower")
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--steps", type=int, help="total_steps of the schedule")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="default: cuda where there is one")
@@ -222,6 +228,8 @@ def main() -> None:
     config = config_from_json(json.loads(args.config.read_text())) if args.config else TrainConfig()
     if args.steps:
         config = dataclasses.replace(config, total_steps=args.steps)
+    from training.export import WeightFileError, load_weights  # imports this module itself
+
     pace = Pace(
         args.minutes,
         args.checkpoint_seconds,
@@ -230,8 +238,9 @@ def main() -> None:
         min_renders=args.min_renders,
     )
     try:
-        train(args.run, config, pace, choose_device(args.device))
-    except RosterError as error:
+        origin = origin_model(load_weights(args.origin), config.model, config.seed) if args.origin else None
+        train(args.run, config, pace, choose_device(args.device), origin=origin)
+    except (RosterError, WeightFileError, ValueError) as error:
         raise SystemExit(str(error)) from error
 
 

@@ -507,9 +507,10 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
             layer->mean_after = w->means[i];
             if (w->survey.layers) ql_survey_layer_means(&w->survey.layers[i], &layer->blend, &layer->change);
         }
+        const int is_combined = w->frame->layers[i].role == QUELL_ROLE_COMBINED;
         if (plan->group == QL_GROUP_COLOR || plan->group == QL_GROUP_EMISSION)
             has_light = 1;
-        else
+        else if (!is_combined || w->plan.sets[plan->set].combined == QL_COMBINED_DIRECT || !scan->is_constant_alpha)
             groups |= 1u << (2 * plan->group + ql_role_is_indirect(w->frame->layers[i].role));
     }
     if (failed) {

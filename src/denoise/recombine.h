@@ -5,9 +5,9 @@
 
 #include "denoise/region.h"
 
-/* Combined = m * (sum of its parts) + (1 - m) * itself as filtered directly, m by the network for each pixel. The
- * results of all parts and of Combined must be there; set->combined must not be QL_COMBINED_DIRECT. */
-quell_status ql_recombine(const ql_job *job, ql_env *env, const ql_plan_set *set, const ql_net_maps *maps,
-                          const ql_region *region, ql_error *err);
+/* Combined = (direct + indirect) * colour of diffuse, glossy and transmission light + volume + emission + environment.
+ * The results of all parts must be there; set->combined must not be QL_COMBINED_DIRECT. */
+quell_status ql_recombine(const ql_job *job, ql_env *env, const ql_plan_set *set, const ql_region *region,
+                          ql_error *err);
 
 #endif

@@ -435,6 +435,14 @@ static size_t batch_scratch_floats(uint32_t image_width)
     return values > QL_HEAD_BUFFER ? values : QL_HEAD_BUFFER;
 }
 
+static quell_status filter_batch(batch *b, ql_env *env, const ql_pyramid_source *source, ql_error *err)
+{
+    const uint32_t width = b->region->width, height = b->region->height;
+    return is_narrow(b->group) ? ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, source, err)
+                               : ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, source, err);
+}
+
+/* Combined, if it is the sum of its parts, needs kernels for its alpha alone. */
 static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error *err)
 {
     const ql_pyramid_source source = {b, QL_NET_DIMS, b->levels, give_fine, give_coarse, give_values, take_result};
@@ -442,14 +450,11 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
     for (uint32_t next = 0; next < b->job->plan->num_layers;) {
         fill_batch(b, &next, combined_only);
         if (b->num_members == 0) continue;
-        const uint32_t width = b->region->width, height = b->region->height;
-        if (is_narrow(b->group))
-            QL_TRY(ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
-        else
-            QL_TRY(ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, &source, err));
-        if (combined_only && b->set->combined != QL_COMBINED_DIRECT) {
+        const int sums = combined_only && b->set->combined != QL_COMBINED_DIRECT;
+        if (!sums || b->members[0].num_channels > MAX_COLORS) QL_TRY(filter_batch(b, env, &source, err));
+        if (sums) {
             const double start = ql_clock_seconds();
-            QL_TRY(ql_recombine(b->job, env, b->set, b->maps, b->region, err));
+            QL_TRY(ql_recombine(b->job, env, b->set, b->region, err));
             b->job->seconds_recombine += ql_clock_seconds() - start;
         }
         int restores = b->color_role != QUELL_ROLE_OTHER;

@@ -15,10 +15,10 @@ static uint32_t group_planes(uint32_t level)
     return level == 0 ? FINE_FIELDS : ql_coarse_planes(level);
 }
 
-/* Where the embedding of a level's head begins, after the groups and, at full resolution, narrow groups and mix. */
+/* Where the embedding of a level's head begins, after the groups and, at full resolution, narrow groups. */
 static uint32_t embedding_plane(uint32_t level)
 {
-    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? QL_NET_NARROW_GROUPS * ql_head_planes(QL_HEAD_NARROW) + 1 : 0);
+    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? QL_NET_NARROW_GROUPS * ql_head_planes(QL_HEAD_NARROW) : 0);
 }
 
 /* Which of the file's channels are `num` planes from `first` on. At full resolution the file holds pixel-shuffled
@@ -34,7 +34,7 @@ static uint32_t pick(uint32_t level, uint32_t first, uint32_t num, uint32_t *ord
 
 uint32_t ql_head_planes(uint32_t head)
 {
-    static const uint32_t planes[] = {2, QL_NET_DIMS + 2, QL_NET_DIMS + 1, 1};
+    static const uint32_t planes[] = {2, QL_NET_DIMS + 2, QL_NET_DIMS + 1};
     return planes[head];
 }
 
@@ -67,7 +67,6 @@ static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory
     }
     for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g, first += narrow)
         QL_TRY(load_head(net, weights, 0, first, narrow, &net->head_narrow[g], memory, err));
-    QL_TRY(load_head(net, weights, 0, first, 1, &net->head_mix, memory, err));
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
         QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
     QL_TRY(ql_conv_load(&net->detail_in, weights, "detail_in", 3, QL_NET_DETAIL, QL_NET_DETAIL, NULL, 0, memory, err));
@@ -179,7 +178,6 @@ void ql_net_free(ql_net *net, ql_memory *memory)
         for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_conv_free(&net->head[g][l], memory);
     }
     for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g) ql_conv_free(&net->head_narrow[g], memory);
-    ql_conv_free(&net->head_mix, memory);
     ql_conv_free(&net->guides, memory);
     ql_conv_free(&net->detail_in, memory);
     ql_conv_free(&net->detail_out, memory);
@@ -204,7 +202,7 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has
             total += 5.0 * w * net->widths[l + 1] * per[l + 1] + 9.0 * w * w * net->up_convs[l] * per[l];
         head += w * group_planes(l + 1) * per[l];
     }
-    if (has_light) total += (QL_NET_NARROW_GROUPS * (QL_NET_DIMS + 1.0) + 1.0) * net->widths[0];
+    if (has_light) total += QL_NET_NARROW_GROUPS * (QL_NET_DIMS + 1.0) * net->widths[0];
     return total + num_groups * head;
 }
 
@@ -384,10 +382,9 @@ uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height)
 void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
                         uint32_t head, uint32_t x, uint32_t y, uint32_t num, float *buffer, float *out)
 {
-    const ql_conv *const conv = head == QL_HEAD_DOWN    ? &net->head_down[group]
-                                : head == QL_HEAD_UP    ? &net->head_up[group]
-                                : head == QL_HEAD_NARROW ? &net->head_narrow[group]
-                                                        : &net->head_mix;
+    const ql_conv *const conv = head == QL_HEAD_DOWN ? &net->head_down[group]
+                                : head == QL_HEAD_UP ? &net->head_up[group]
+                                                     : &net->head_narrow[group];
     const uint32_t planes = ql_head_planes(head);
     ql_conv_apply_row(conv, kernels, &maps->level[0], x, y, num, 0, buffer);
     for (size_t dy = 0; dy < 2; ++dy)

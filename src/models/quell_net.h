@@ -30,8 +30,7 @@ enum { QL_NET_NARROW_GROUPS = 2 };
 enum {
     QL_HEAD_DOWN = 0,  /* 2 planes: partition, importance */
     QL_HEAD_UP = 1,    /* sharpness (QL_NET_DIMS planes), centre, blend */
-    QL_HEAD_NARROW = 2, /* sharpness, centre; of a narrow group */
-    QL_HEAD_MIX = 3    /* 1 plane */
+    QL_HEAD_NARROW = 2 /* sharpness, centre; of a narrow group */
 };
 
 typedef struct ql_net {
@@ -41,7 +40,7 @@ typedef struct ql_net {
     float *flags; /* [QL_NUM_FLAGS][widths[0]] */
     ql_conv down[QL_NET_LEVELS - 1], up[QL_NET_LEVELS - 1];
     ql_conv encoder[QL_NET_LEVELS][QL_NET_MAX_CONVS], decoder[QL_NET_LEVELS - 1][QL_NET_MAX_CONVS];
-    ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS], head_narrow[QL_NET_NARROW_GROUPS], head_mix;
+    ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS], head_narrow[QL_NET_NARROW_GROUPS];
     ql_conv head[QL_NET_GROUPS][QL_NET_LEVELS]; /* sharpness, centre, blend, partition; at 1/16 the first two */
     ql_conv guides, detail_in, detail_out;      /* the embedding's share at full resolution */
     ql_conv embedding[QL_NET_LEVELS + 1];       /* the body's share of it */

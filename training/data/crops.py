@@ -22,6 +22,7 @@ class CropConfig:
     crop: int = 128
     batch: int = 8
     light_fraction: float = 0.6  # of batches that have light passes; the others train Combined alone
+    direct_fraction: float = 0.3  # of batches with light in which Combined is filtered by itself besides
     drop_guide: float = 0.1  # of batches, for each guide
     hide_spp: float = 0.2
     spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 0.8), (4, 2.0), (8, 1.2), (16, 1.5), (32, 1.0))
@@ -35,6 +36,7 @@ class Batch:
     layers: Layers
     target: Layers  # light holds light x colour here
     spp: Tensor
+    with_direct: bool
 
 
 def choose_input(frame: PackedFrame, rng: np.random.Generator, config: CropConfig) -> tuple[list[int], int]:
@@ -175,6 +177,7 @@ class RawBatch:
     known: Tensor  # [n] spp as the network sees it, 0: hidden
     jitter: Tensor  # [n] stops of exposure
     has_light: bool
+    with_direct: bool  # whether Combined is to be filtered by itself
     dropped: tuple[bool, bool, bool]  # albedo, normal, depth
 
 
@@ -195,7 +198,8 @@ def draw_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Raw
     known = spp * float(rng.random() >= config.hide_spp)
     jitter = rng.integers(-1, 2, config.batch).astype(np.float32)
     tensors = map(torch.from_numpy, (inputs, target, spp, known, jitter))
-    return RawBatch(*tensors, has_light, (albedo, normal, depth))
+    with_direct = not has_light or bool(rng.random() < config.direct_fraction)
+    return RawBatch(*tensors, has_light, with_direct, (albedo, normal, depth))
 
 
 def finish_batch(raw: RawBatch) -> Batch:
@@ -209,7 +213,7 @@ def finish_batch(raw: RawBatch) -> Batch:
     exposure = x.new_tensor([log_exponent(b) for b in layers.beauty]) + raw.jitter
     depth = x.new_tensor([log_exponent(d) for d in x[:, INPUT["depth"]]])
     features = make_features(layers, guides, raw.known, exposure, depth)
-    return Batch(features, layers, target_layers(raw.target), raw.spp)
+    return Batch(features, layers, target_layers(raw.target), raw.spp, raw.with_direct)
 
 
 def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:

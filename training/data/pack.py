@@ -13,6 +13,8 @@ target independent of input i is then (sums - spp_i * input_i) / (total - spp_i)
 from __future__ import annotations
 
 import argparse
+import contextlib
+import fcntl
 import json
 import shutil
 from collections.abc import Iterator
@@ -143,9 +145,24 @@ def pack_root(root: Path | None = None) -> Path:
     return (root or data_root()) / "packed"
 
 
+@contextlib.contextmanager
+def one_at_a_time(root: Path | None) -> Iterator[None]:
+    """Several runs may share one data set: they pack and list it in turn."""
+    folder = pack_root(root)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # given back when the file closes, by a kill too
+        yield
+
+
 def pack_new(split: str, min_renders: int, root: Path | None = None) -> int:
     """Packs every frame of a split that has min_renders renders and is not packed as it stands. Returns how many."""
     root = root or data_root()
+    with one_at_a_time(root):
+        return pack_missing(split, min_renders, root)
+
+
+def pack_missing(split: str, min_renders: int, root: Path) -> int:
     done = 0
     for record in list_frames(root, split):
         if len(record.renders) < min_renders:
@@ -166,6 +183,11 @@ def pack_new(split: str, min_renders: int, root: Path | None = None) -> int:
 
 def load_packs(split: str, root: Path | None = None) -> list[PackedFrame]:
     """All packed frames of a split, in a fixed order."""
+    with one_at_a_time(root):
+        return open_packs(split, root)
+
+
+def open_packs(split: str, root: Path | None) -> list[PackedFrame]:
     frames = []
     for info_path in sorted((pack_root(root) / split).glob("*/pack.json")):
         info = json.loads(info_path.read_text())

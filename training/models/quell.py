@@ -38,8 +38,8 @@ def group_planes(level: int) -> int:
 
 
 def head_planes(level: int) -> int:
-    """Planes of a level's whole head, in its order: groups, at full resolution narrow groups and mix, the embedding."""
-    narrow = len(NARROW_GROUPS) * NARROW_FIELDS + 1 if level == 0 else 0
+    """Planes of a level's whole head, in its order: groups, at full resolution narrow groups, the embedding."""
+    narrow = len(NARROW_GROUPS) * NARROW_FIELDS if level == 0 else 0
     return len(GROUPS) * group_planes(level) + narrow + EMBEDDING
 
 
@@ -54,24 +54,29 @@ class QuellConfig:
 
 @dataclass(frozen=True)
 class Denoised:
-    """Results, all [n,3,h,w] in the input's exposure; light passes are None where the frame has none."""
+    """Results, all [n,3,h,w] in the input's exposure; None: not asked for, or not in the frame."""
 
-    combined: Tensor
-    direct: Tensor
-    rebuilt: Tensor | None = None
+    direct: Tensor | None = None  # Combined by kernels of its own
+    rebuilt: Tensor | None = None  # Combined as the sum of what follows
     light: Tensor | None = None  # [n,4 groups,2,3,h,w]: direct and indirect of diffuse, glossy, transmission, volume
     color: Tensor | None = None  # [n,3 groups,3,h,w]
     emission: Tensor | None = None
 
+    @property
+    def combined(self) -> Tensor:
+        """Combined of a frame whose passes sum to it."""
+        combined = self.direct if self.rebuilt is None else self.rebuilt
+        assert combined is not None
+        return combined
+
 
 @dataclass(frozen=True)
 class Head:
-    """A level's head, float32. narrow (scale, centre) and mix at full resolution alone."""
+    """A level's head, float32. narrow (scale, centre) at full resolution alone."""
 
     groups: Tensor  # [n,groups,fields,h,w]
     embedding: Tensor  # [n,e,h,w]: the head's share
     narrow: Tensor | None = None  # [n,narrow groups,fields,h,w]
-    mix: Tensor | None = None
 
 
 def split_head(x: Tensor, level: int) -> Head:
@@ -81,9 +86,9 @@ def split_head(x: Tensor, level: int) -> Head:
         groups, embedding = x.split([len(GROUPS) * planes, EMBEDDING], 1)
         return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding)
     narrow_planes = len(NARROW_GROUPS) * NARROW_FIELDS
-    groups, narrow, mix, embedding = x.split([len(GROUPS) * planes, narrow_planes, 1, EMBEDDING], 1)
+    groups, narrow, embedding = x.split([len(GROUPS) * planes, narrow_planes, EMBEDDING], 1)
     narrow = narrow.unflatten(1, (len(NARROW_GROUPS), NARROW_FIELDS))
-    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, narrow, mix)
+    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, narrow)
 
 
 def conv3x3(channels: int) -> nn.Conv2d:
@@ -223,18 +228,22 @@ def divide(values: Tensor) -> Tensor:
     return values / validity.clamp_min(1e-20)
 
 
-def filter_layers(net: QuellNet, features: Features, layers: Layers, inside: Tensor | None = None) -> Denoised:
+def filter_layers(
+    net: QuellNet, features: Features, layers: Layers, inside: Tensor | None = None, with_direct: bool = True
+) -> Denoised:
     """Applies the network's kernels to the frame's layers and puts Combined together again.
 
-    inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside."""
+    inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside.
+    with_direct False: Combined is not filtered by itself where there is light to sum it from."""
     heads = net(features.planes, features.flags)
     n = layers.beauty.shape[0]
     if inside is None:
         inside = torch.ones_like(layers.beauty[:, :1])
     embeddings = net.embeddings(features.planes, heads)
     # Items: Combined of every image, then the light passes that are not black.
-    image, group = torch.arange(n), torch.zeros(n, dtype=torch.long)
-    values, validity = layers.beauty, inside
+    num_direct = n if with_direct or layers.light is None else 0
+    image, group = torch.arange(num_direct), torch.zeros(num_direct, dtype=torch.long)
+    values, validity = layers.beauty[:num_direct], inside[:num_direct]
     if layers.light is not None:
         scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
         valid = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1) * inside[:, None]
@@ -246,9 +255,10 @@ def filter_layers(net: QuellNet, features: Features, layers: Layers, inside: Ten
     assert levels[0].importance is not None
     weight = importance_weight(levels[0].importance) * validity
     filtered = filter_pyramid(torch.cat([values * weight, weight], 1), levels, image, group)
-    direct, filtered = divide(filtered).split([n, len(image) - n])
+    direct, filtered = divide(filtered).split([num_direct, len(image) - num_direct])
+    direct = direct if num_direct > 0 else None
     if layers.light is None:
-        return Denoised(combined=direct, direct=direct)
+        return Denoised(direct)
 
     light = torch.zeros_like(layers.light).flatten(1, 2).index_put((lit[:, 0], lit[:, 1]), filtered)
     light = light.view_as(layers.light)
@@ -263,9 +273,7 @@ def filter_layers(net: QuellNet, features: Features, layers: Layers, inside: Ten
     emission = filter_narrow(net, heads[0], embeddings[0], emission, "emission")
     parts = light.sum(2)
     rebuilt = (parts[:, :3] * color).sum(1) + parts[:, 3] + emission
-    mix = torch.sigmoid(heads[0].mix)
-    combined = mix * rebuilt + (1 - mix) * direct
-    return Denoised(combined, direct, rebuilt, light, color, emission)
+    return Denoised(direct, rebuilt, light, color, emission)
 
 
 class Quell(nn.Module):
@@ -275,8 +283,8 @@ class Quell(nn.Module):
         super().__init__()
         self.net = QuellNet(config)
 
-    def forward(self, features: Features, layers: Layers) -> Denoised:
-        return filter_layers(self.net, features, layers)
+    def forward(self, features: Features, layers: Layers, with_direct: bool = True) -> Denoised:
+        return filter_layers(self.net, features, layers, with_direct=with_direct)
 
 
 def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
@@ -291,4 +299,4 @@ def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
         total += config.up_convs[i] * 9 * w[i] ** 2 * per[i]
     head = group_planes(0) * w[0] + sum(group_planes(i + 1) * w[i] * per[i] for i in range(4))
     total += groups * head + EMBEDDING * (w[0] + GUIDE_PLANES.stop - GUIDE_PLANES.start)
-    return total + ((len(NARROW_GROUPS) * NARROW_FIELDS + 1) * w[0] if light else 0)
+    return total + (len(NARROW_GROUPS) * NARROW_FIELDS * w[0] if light else 0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guided kernels in C for training on a CPU, compiled at first use.
+"""What takes the time of a training step on a CPU, in C, compiled at first use.
 
-The plain PyTorch form of the same operation is `training.models.pyramid.guided_kernel_reference`; it runs on any device
-and is what the tests compare with.
+The plain PyTorch forms of the same operations run on any device and are what the tests compare with:
+`training.models.pyramid.guided_kernel_reference` and `partition_reference`, `training.loss.relative_error_reference`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import torch
 
 from training.paths import state_root
 
-SOURCE = Path(__file__).with_name("kernel_ops.c")
+KERNELS, LOSSES = (Path(__file__).with_name(name) for name in ("kernel_ops.c", "loss_ops.c"))
 FLAGS = [
     "-O3",
     "-march=native",
@@ -50,7 +50,7 @@ def compiled(source: Path) -> ctypes.CDLL:
 @functools.cache
 def library() -> ctypes.CDLL:
     """The kernels of the quell family."""
-    lib = compiled(SOURCE)
+    lib = compiled(KERNELS)
     pointer = ctypes.c_void_p
     lib.guided_forward.argtypes = [ctypes.c_long] + [pointer] * 5
     lib.guided_forward.restype = None
@@ -60,6 +60,16 @@ def library() -> ctypes.CDLL:
     lib.partition_forward.restype = None
     lib.partition_backward.argtypes = [ctypes.c_long] * 4 + [pointer] * 5
     lib.partition_backward.restype = None
+    return lib
+
+
+@functools.cache
+def losses() -> ctypes.CDLL:
+    """The robust relative error."""
+    lib = compiled(LOSSES)
+    pointer = ctypes.c_void_p
+    lib.relative_error.argtypes = [ctypes.c_long] * 5 + [ctypes.c_float] * 2 + [pointer] * 4
+    lib.relative_error.restype = None
     return lib
 
 
@@ -129,3 +139,25 @@ class Partition(torch.autograd.Function):
             grad_values.data_ptr(), grad_logits.data_ptr(),
         )  # fmt: skip
         return grad_values, grad_logits
+
+
+class RelativeError(torch.autograd.Function):
+    """`training.loss.relative_error_reference` on the CPU; scales 3: with that of means over 4x4 and 16x16, at half
+    weight. The target gets no gradient."""
+
+    @staticmethod
+    def forward(
+        ctx, image: torch.Tensor, target: torch.Tensor, scales: int, epsilon: float, turn: float
+    ) -> torch.Tensor:
+        image, target = image.float().contiguous(), target.float().contiguous()
+        loss = torch.empty(image.shape[0])
+        ctx.gradient = torch.empty_like(image) if ctx.needs_input_grad[0] else None
+        gradient = None if ctx.gradient is None else ctx.gradient.data_ptr()
+        losses().relative_error(
+            *image.shape, scales, epsilon, turn, image.data_ptr(), target.data_ptr(), loss.data_ptr(), gradient
+        )
+        return loss
+
+    @staticmethod
+    def backward(ctx, grad: torch.Tensor):
+        return ctx.gradient * grad[:, None, None, None], None, None, None, None

@@ -87,7 +87,6 @@ typedef int int_block __attribute__((vector_size(BLOCK * sizeof(int))));
 typedef float loose_block __attribute__((vector_size(BLOCK * sizeof(float)), aligned(4)));
 
 static block load(const float *p) { return *(const loose_block *)p; }
-static void add(float *p, block v) { *(loose_block *)p += v; }
 
 /* The first n lanes, the others 0. */
 static block load_some(const float *p, long n)
@@ -100,7 +99,10 @@ static block load_some(const float *p, long n)
 
 static void store_some(float *p, block v, long n)
 {
-    memcpy(p, &v, (size_t)(n < BLOCK ? n : BLOCK) * sizeof *p);
+    if (n >= BLOCK)
+        *(loose_block *)p = v;
+    else
+        memcpy(p, &v, (size_t)n * sizeof *p);
 }
 
 static block larger(block a, block b)
@@ -120,10 +122,11 @@ static block exp_block(block x)
     return p * (block)((n + 127) << 23);
 }
 
-static float sum_block(block v)
+/* Sum of the lanes whose index is `parity` modulo `step`. */
+static float sum_lanes(block v, long parity, long step)
 {
     float sum = 0.0f;
-    for (long i = 0; i < BLOCK; ++i) sum += v[i];
+    for (long i = parity; i < BLOCK; i += step) sum += v[i];
     return sum;
 }
 
@@ -184,47 +187,108 @@ static void forward_one(const geometry *g, const item *t)
     free(padded);
 }
 
-/* Lanes beyond the row have no gradient, so what they add to others is 0. */
-static void backward_block(const geometry *g, const item *t, const float *padded, float *padded_grad,
+/* What one row of pixels passes on to its taps, each plane with zeros on both sides. Taps gather it row by row: adding
+ * block by block to addresses that overlap would have every load wait for the store before it. */
+typedef struct row_share {
+    long stride, margin;
+    float *weight, *logit;          /* [taps]: softmax, gradient of the logit */
+    float *grad;                    /* [channels] */
+    float *sharpness, *sharp_place; /* [dims]: 2 sharpness, 2 sharpness * embedding */
+    block table[2][MAX_TAPS];       /* gradient of the logits over all pixels, by parity of y */
+} row_share;
+
+static long share_stride(const geometry *g) { return g->width + 2 * (2 * g->radius << g->shift) + 2 * BLOCK; }
+
+static row_share divide_share(const geometry *g, float *memory)
+{
+    const long stride = share_stride(g), taps = num_taps(g);
+    row_share r = {.stride = stride, .margin = 2 * g->radius << g->shift, .weight = memory, .table = {{{0}}}};
+    r.logit = r.weight + taps * stride;
+    r.grad = r.logit + taps * stride;
+    r.sharpness = r.grad + g->channels * stride;
+    r.sharp_place = r.sharpness + g->dims * stride;
+    return r;
+}
+
+static long share_floats(const geometry *g) { return (2 * num_taps(g) + g->channels + 2 * g->dims) * share_stride(g); }
+
+/* The pixels' own gradients, and what their taps will need. Lanes beyond the row have no gradient. */
+static void backward_block(const geometry *g, const item *t, const float *padded, row_share *r,
                            const long *offset, long y, long x0, long n)
 {
     const long w = g->width, plane = w * g->height, size = padded_size(g), taps = num_taps(g), at = y * w + x0;
-    block sharpness[MAX_DIMS], weights[MAX_TAPS], d[MAX_TAPS], mean = {0}, odd_lane;
-    for (long i = 0; i < BLOCK; ++i) odd_lane[i] = (float)(i & 1);
+    const long place = r->margin + x0;
+    block sharpness[MAX_DIMS], weights[MAX_TAPS], d[MAX_TAPS], mean = {0};
     weights_block(g, t, padded + g->channels * size, offset, y, x0, n, sharpness, weights);
     memset(d, 0, sizeof d);
     for (long c = 0; c < g->channels; ++c) {
         const float *const source = padded + c * size + x0;
-        float *const to = padded_grad + c * size + x0;
         const block grad = load_some(t->grad + c * plane + at, n);
-        for (long k = 0; k < taps; ++k) {
-            d[k] += grad * load(source + offset[k]);
-            add(to + offset[k], grad * weights[k]);
-        }
+        store_some(r->grad + c * r->stride + place, grad, n);
+        for (long k = 0; k < taps; ++k) d[k] += grad * load(source + offset[k]);
     }
     for (long k = 0; k < taps; ++k) mean += weights[k] * d[k];
-    float *const table = t->grad_table + (g->shift ? (y & 1) * 2 * taps : 0);
     for (long k = 0; k < taps; ++k) { /* d becomes the gradient of the logits */
         d[k] = weights[k] * (d[k] - mean);
-        const float all = sum_block(d[k]), odd = g->shift ? sum_block(d[k] * odd_lane) : 0.0f;
-        table[k] += all - odd;
-        table[k + taps * g->shift] += odd;
+        r->table[y & 1][k] += d[k];
+        store_some(r->weight + k * r->stride + place, weights[k], n);
+        store_some(r->logit + k * r->stride + place, d[k], n);
     }
     if (t->centre) store_some(t->grad_centre + at, d[taps / 2], n);
     for (long e = 0; e < g->dims; ++e) {
         const float *const b = padded + (g->channels + e) * size + x0;
-        float *const to = padded_grad + (g->channels + e) * size + x0;
         const block a = load_some(t->embedding + e * plane + at, n), s = 2.0f * sharpness[e];
-        block grad_a = load_some(t->grad_embedding + e * plane + at, n), grad_s = {0};
+        block sum = {0}, squares = {0};
         for (long k = 0; k < taps; ++k) {
-            const block difference = a - load(b + offset[k]), step = s * d[k] * difference;
-            grad_a -= step;
-            grad_s -= step * difference;
-            add(to + offset[k], step);
+            const block difference = a - load(b + offset[k]), step = d[k] * difference;
+            sum += step;
+            squares += step * difference;
         }
-        store_some(t->grad_embedding + e * plane + at, grad_a, n);
-        store_some(t->grad_scale + e * plane + at, 0.5f * grad_s, n);
+        store_some(t->grad_embedding + e * plane + at, load_some(t->grad_embedding + e * plane + at, n) - s * sum, n);
+        store_some(t->grad_scale + e * plane + at, -0.5f * s * squares, n);
+        store_some(r->sharpness + e * r->stride + place, s, n);
+        store_some(r->sharp_place + e * r->stride + place, s * a, n);
     }
+}
+
+/* Row i of the taps of row y: its sources' gradient, and that of the embedding where it stands for a tap's. */
+static void gather_row(const geometry *g, const float *padded, float *padded_grad, const row_share *r, long y, long i)
+{
+    const long side = 2 * g->radius + 1, size = padded_size(g), start = ((y >> g->shift) + i) * padded_width(g);
+    for (long x = 0; x < g->width + r->margin; x += BLOCK) {
+        for (long c = 0; c < g->channels; ++c) {
+            float *const to = padded_grad + c * size + start + x;
+            block sum = load(to);
+            for (long j = 0; j < side; ++j) {
+                const long from = r->margin + x - (j << g->shift);
+                sum += load(r->weight + (i * side + j) * r->stride + from) * load(r->grad + c * r->stride + from);
+            }
+            memcpy(to, &sum, sizeof sum);
+        }
+        for (long e = 0; e < g->dims; ++e) {
+            float *const to = padded_grad + (g->channels + e) * size + start + x;
+            block places = {0}, sharpness = {0};
+            for (long j = 0; j < side; ++j) {
+                const long from = r->margin + x - (j << g->shift);
+                const block d = load(r->logit + (i * side + j) * r->stride + from);
+                places += d * load(r->sharp_place + e * r->stride + from);
+                sharpness += d * load(r->sharpness + e * r->stride + from);
+            }
+            const block b = load(padded + (g->channels + e) * size + start + x);
+            const block sum = load(to) + places - b * sharpness;
+            memcpy(to, &sum, sizeof sum);
+        }
+    }
+}
+
+/* The table's gradient, for an upsampling one by each parity of y and x. */
+static void add_table(const geometry *g, const row_share *r, float *table)
+{
+    const long taps = num_taps(g), sides = 1 + g->shift;
+    for (long y = 0; y < 2; ++y)
+        for (long x = 0; x < sides; ++x)
+            for (long k = 0; k < taps; ++k)
+                table[(g->shift * (2 * y + x)) * taps + k] += sum_lanes(r->table[y][k], x, sides);
 }
 
 /* Adds to grad_embedding, grad_other and grad_table, which several items may share; writes the rest. */
@@ -232,17 +296,22 @@ static void backward_one(const geometry *g, const item *t)
 {
     const size_t floats = (size_t)((g->channels + g->dims) * padded_size(g));
     float *const padded = malloc(floats * sizeof *padded), *const padded_grad = calloc(floats, sizeof *padded_grad);
+    float *const memory = calloc((size_t)share_floats(g), sizeof *memory);
+    row_share share = divide_share(g, memory);
     pad(g, g->channels, t->source, padded);
     pad(g, g->dims, t->other, padded + g->channels * padded_size(g));
     for (long y = 0; y < g->height; ++y) {
         long offset[MAX_TAPS];
         tap_offsets(g, y, offset);
         for (long x0 = 0; x0 < g->width; x0 += BLOCK)
-            backward_block(g, t, padded, padded_grad, offset, y, x0, g->width - x0);
+            backward_block(g, t, padded, &share, offset, y, x0, g->width - x0);
+        for (long i = 0; i < 2 * g->radius + 1; ++i) gather_row(g, padded, padded_grad, &share, y, i);
     }
+    add_table(g, &share, t->grad_table);
     memset(t->grad_source, 0, (size_t)(g->channels * g->source_width * g->source_height) * sizeof(float));
     unpad_add(g, g->channels, padded_grad, t->grad_source);
     unpad_add(g, g->dims, padded_grad + g->channels * padded_size(g), t->grad_other);
+    free(memory);
     free(padded_grad);
     free(padded);
 }
