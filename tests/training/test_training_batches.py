@@ -28,7 +28,9 @@ def same(a: Batch, b: Batch) -> bool:
     def tensors(value) -> list[torch.Tensor]:
         if isinstance(value, torch.Tensor):
             return [value]
-        return [t for part in vars(value).values() if part is not None for t in tensors(part)]
+        if isinstance(value, bool | None):
+            return []
+        return [t for part in vars(value).values() for t in tensors(part)]
 
     return all(torch.equal(x, y) for x, y in zip(tensors(a), tensors(b), strict=True))
 

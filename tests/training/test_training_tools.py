@@ -119,12 +119,12 @@ def test_finetuning_on_a_pair(state: Path, tmp_path: Path, weights: Path, capsys
     reference = tmp_path / "reference.exr"
     write_exr(reference, clean, 1024)
     out = tmp_path / "mine.qwt"
-    command = ["--weights", weights, "--out", out, "--pair", noisy, reference, "--steps", 12, "--rate", 2e-3]
+    command = ["--weights", weights, "--out", out, "--pair", noisy, reference, "--steps", 30, "--rate", 2e-3]
     assert finetune.main([*map(str, command), "--batch", "2", "--device", "cpu"]) == 0
     found = errors(capsys.readouterr().out)
     assert found["after"] < found["before"] and found["after"] < found["noisy"]
     assert export.load_weights(out).net.config == SMALL
-    assert "12 steps further on 1 frames" in export.read_weights(out)["meta.description"]
+    assert "30 steps further on 1 frames" in export.read_weights(out)["meta.description"]
 
 
 def test_finetuning_on_renders_of_combined_alone(state: Path, tmp_path: Path, weights: Path) -> None:
