@@ -131,10 +131,12 @@ LIB_OBJECTS := $(LIB_SOURCES:%.c=$(OBJ)/%.o)
 CLI_OBJECTS := $(patsubst %.c,$(OBJ)/%.o,$(filter-out %_$(other_system).c,$(wildcard src/cli/*.c)))
 OIIO_OBJECTS := $(patsubst %.cpp,$(OBJ)/%.o,$(wildcard src/cli/*.cpp))
 
-# Every weight file of the folder goes into the library under its name, the default first.
+# Every weight file of the folder goes into the library under its name: the default, the other quell networks, the rest.
 WEIGHTS_DIR ?= weights
 DEFAULT_WEIGHTS := $(WEIGHTS_DIR)/quell-balanced.qwt
-WEIGHTS := $(DEFAULT_WEIGHTS) $(filter-out $(DEFAULT_WEIGHTS),$(sort $(wildcard $(WEIGHTS_DIR)/*.qwt)))
+OTHER_WEIGHTS := $(filter-out $(DEFAULT_WEIGHTS),$(sort $(wildcard $(WEIGHTS_DIR)/*.qwt)))
+WEIGHTS := $(DEFAULT_WEIGHTS) $(filter $(WEIGHTS_DIR)/quell-%,$(OTHER_WEIGHTS)) \
+	$(filter-out $(WEIGHTS_DIR)/quell-%,$(OTHER_WEIGHTS))
 WEIGHT_NAMES := $(basename $(notdir $(WEIGHTS)))
 BUILTIN_LIST := $(OBJ)/weights/builtin_list.h
 builtin_flags = $(if $(filter src/models/builtin.c,$(1)),-I$(dir $(BUILTIN_LIST)) -DQL_WEIGHTS_DIR='"$(WEIGHTS_DIR)"')

@@ -95,7 +95,7 @@ static void test_conv(const ql_kernels *c, const ql_kernels *k)
     static const uint32_t channels[] = {1, 3, 16, 28, 48};
     const uint32_t num_rows = 1 + random_below(QL_MAX_CONV_ROWS), in = channels[random_below(5)],
                    num_pixels = 1 + random_below(40);
-    const uint32_t num_out = QL_BLOCK * (1 + random_below(6)), num_k = num_rows * in;
+    const uint32_t num_out = QL_BLOCK * (1 + random_below(12)), num_k = num_rows * in;
     const uint32_t stride = num_rows == 2 ? num_k : in;
     const size_t row = (size_t)(num_pixels - 1) * stride + num_k, num = (size_t)num_pixels * num_out;
     float *const weights = guarded((size_t)num_rows * num_k * num_out), *const bias = guarded(num_out);
