@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +12,19 @@ import pytest
 import torch
 
 from training import export, parity
-from training.models.quell import Quell, QuellConfig
+from training.models.quell import Quell, QuellConfig, multiply_adds
+from training.train import config_from_json
 
 CONFIG = QuellConfig(widths=(16, 16, 32, 16))
 
 
-def wild_model(seed: int) -> Quell:
+LEVELS = sorted((Path(__file__).resolve().parents[2] / "training" / "configs").glob("*.json"))
+
+
+def wild_model(seed: int, config: QuellConfig = CONFIG) -> Quell:
     """Weights of a size that makes every kernel lean somewhere."""
     torch.manual_seed(seed)
-    model = Quell(CONFIG)
+    model = Quell(config)
     for head in model.net.heads:
         torch.nn.init.normal_(head.weight, std=0.1)
     return model
@@ -76,3 +82,20 @@ def test_the_tool_denoises_as_pytorch_does(
 ) -> None:
     worst = parity.compare(build / "bin" / "quell", exported[0], data / fixture, tmp_path)
     assert "Combined" in worst and max(worst.values()) < parity.TOLERANCE, worst
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=lambda path: path.stem)
+def test_the_shape_of_each_quality_level(path: Path, data: Path, build: Path, tmp_path: Path) -> None:
+    """What training makes of the level's configuration, the library runs, and counts as training does."""
+    config = config_from_json(json.loads(path.read_text())).model
+    weights, tool = tmp_path / "level.qwt", build / "bin" / "quell"
+    export.export(wild_model(2, config), weights, "level", "random weights")
+    worst = parity.compare(tool, weights, data / "45_beauty_guides.exr", tmp_path)
+    assert max(worst.values()) < parity.TOLERANCE, worst
+    command = [tool, "bench", "--json", "--size", "64x64", "--layers", "1", "--runs", "1", "--model", weights]
+    counted = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)["macs_per_pixel"]
+    assert counted == pytest.approx(multiply_adds(config, 1, False))
+
+
+def test_the_levels_have_configurations() -> None:
+    assert {path.stem for path in LEVELS} == {"fast", "balanced", "high"}
