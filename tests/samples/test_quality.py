@@ -94,6 +94,24 @@ def test_combined_keeps_what_is_reached(results):
     assert min(gains_at(results, 16).values()) >= 1
 
 
+def test_each_level_is_nearer_to_the_truth_than_the_one_below(quell, exr_reader, tmp_path):
+    """Error of Combined at 4 spp, geometric mean over the samples, of the quality levels that this build has."""
+    levels = [level for level in ("fast", "balanced", "high") if (ROOT / "weights" / f"quell-{level}.qwt").exists()]
+    if len(levels) == 1:
+        pytest.skip("weights/ has one level alone")
+    gains = {level: {} for level in levels}
+    for name in SAMPLES:
+        source = ROOT / "samples" / name / f"{name}_4spp.exr"
+        refs = [combined(group(exr_reader(ROOT / "samples" / name / f"{name}_ref_{k}.exr"))) for k in "ab"]
+        before = rel_mse(combined(group(exr_reader(source))), *refs)[0]
+        for level in levels:
+            quell.ok("denoise", source, "-o", tmp_path / "out.exr", "--quality", level, "-q")
+            after = rel_mse(combined(group(exr_reader(tmp_path / "out.exr"))), *refs)[0]
+            gains[level][name] = before / max(after, 1e-9)
+    means = [geometric_mean(gains[level]) for level in levels]
+    assert means == sorted(means), dict(zip(levels, means, strict=True))
+
+
 @pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.7-fold: docs/quality.md")
 def test_combined_at_4_spp_on_each(results):
     gains = gains_at(results, 4)
