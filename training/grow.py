@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from training.models.quell import Quell, QuellConfig
+from training.shrink import shrink
 
 LEAK = 0.05  # of their initial size: weights from new channels to old ones in the body, so that all differ
 
@@ -38,8 +39,8 @@ def widen(name: str, old: Tensor, new: Tensor) -> Tensor:
 
 
 def origin_model(model: Quell, config: QuellConfig, seed: int) -> Quell:
-    """What a run of this configuration begins with, given a trained model: itself, or grown."""
+    """What a run of this configuration begins with, given a trained model: itself, grown or shrunk."""
     if model.net.config == config:
         return model
     torch.manual_seed(seed)
-    return grow(model, config)
+    return shrink(model, config) if sum(config.widths) < sum(model.net.config.widths) else grow(model, config)

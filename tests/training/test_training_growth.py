@@ -9,6 +9,7 @@ import torch
 from training.grow import grow, origin_model
 from training.models.quell import Quell, QuellConfig
 from training.muon import Muon, make_optimisers, orthogonalise, split_parameters
+from training.shrink import shrink
 
 NARROW = QuellConfig(widths=(16, 16, 16, 16), down_convs=(1, 1, 1, 1), up_convs=(1, 1, 1))
 WIDE = QuellConfig(widths=(32, 48, 16, 32), down_convs=(1, 1, 1, 1), up_convs=(1, 1, 1))
@@ -32,6 +33,23 @@ def test_what_cannot_grow_is_an_error() -> None:
         grow(Quell(NARROW), QuellConfig(WIDE.widths, (1, 1, 1, 2), (1, 1, 1)))
     same = Quell(NARROW)
     assert origin_model(same, NARROW, 1) is same
+
+
+def test_a_shrunk_network_keeps_the_channels_that_matter() -> None:
+    torch.manual_seed(1)
+    narrow = Quell(NARROW)
+    grown = grow(narrow, WIDE)
+    with torch.no_grad():  # what was added matters least
+        for name, parameter in grown.named_parameters():
+            old = dict(narrow.named_parameters())[name]
+            if parameter.shape != old.shape:
+                kept = parameter[tuple(slice(n) for n in old.shape)].clone()
+                parameter *= 0.01
+                parameter[tuple(slice(n) for n in old.shape)] = kept
+    for a, b in zip(narrow.state_dict().values(), shrink(grown, NARROW).state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+    with pytest.raises(ValueError, match="does not shrink"):
+        shrink(narrow, WIDE)
 
 
 @pytest.mark.parametrize("shape", [(16, 64), (64, 16), (32, 32)])
