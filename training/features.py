@@ -28,15 +28,13 @@ FIREFLY_FACTOR = 16.0
 
 @dataclass(frozen=True)
 class Layers:
-    """What is filtered. Scene-linear, finite. light and color are None when the frame has no light passes."""
+    """What is filtered. Scene-linear, finite. None: the frame has no light passes, or no albedo."""
 
     beauty: Tensor  # [n,3,h,w]
     light: Tensor | None = None  # [n,4,2,3,h,w]: diffuse, glossy, transmission, volume; direct, indirect
     color: Tensor | None = None  # [n,3,3,h,w]: diffuse, glossy, transmission
     emission: Tensor | None = None  # [n,3,h,w]: what else belongs to Combined: emission and environment
-
-    def select(self, has_light: bool) -> Layers:
-        return self if has_light else Layers(self.beauty)
+    albedo: Tensor | None = None  # [n,3,h,w]: what beauty is divided by while it is filtered
 
 
 @dataclass(frozen=True)

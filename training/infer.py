@@ -46,7 +46,8 @@ def denoise_frame(model: Quell, layers: Layers, guides: Guides, spp: int) -> Den
     features = frame_features(layers, guides, spp)
     planes = pad_planes(features.planes, h, w)
     inside = pad_planes(torch.ones_like(layers.beauty[:, :1]), h, w)
-    padded = Layers(*(pad_planes(x, h, w) for x in (layers.beauty, layers.light, layers.color, layers.emission)))
+    layers = replace(layers, albedo=guides.albedo)
+    padded = Layers(**{name: pad_planes(value, h, w) for name, value in vars(layers).items()})
     out = filter_layers(model.net, Features(planes, features.flags), padded, inside)
     cut = {name: None if value is None else value[..., :height, :width] for name, value in vars(out).items()}
     return replace(out, **cut)

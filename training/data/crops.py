@@ -213,6 +213,7 @@ def finish_batch(raw: RawBatch) -> Batch:
     exposure = x.new_tensor([log_exponent(b) for b in layers.beauty]) + raw.jitter
     depth = x.new_tensor([log_exponent(d) for d in x[:, INPUT["depth"]]])
     features = make_features(layers, guides, raw.known, exposure, depth)
+    layers = replace(layers, albedo=guides.albedo)
     return Batch(features, layers, target_layers(raw.target), raw.spp, raw.with_direct)
 
 

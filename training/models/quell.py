@@ -29,6 +29,7 @@ FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
 NARROW_GROUPS = ("color", "emission")  # 5x5 kernels at full resolution alone
 NARROW_FIELDS = EMBEDDING + 1  # scale, centre
 IMPORTANCE_RANGE = 12.0  # logits beyond it change nothing; keeps the division far from underflow
+ALBEDO_EPSILON = 0.02  # added to the albedo that Combined is divided by: what is black has highlights still
 COLOR_EPSILON = 0.02  # a colour this small halves the weight of its light: the ratio is noise there
 
 
@@ -243,7 +244,9 @@ def filter_layers(
     # Items: Combined of every image, then the light passes that are not black.
     num_direct = n if with_direct or layers.light is None else 0
     image, group = torch.arange(num_direct), torch.zeros(num_direct, dtype=torch.long)
-    values, validity = layers.beauty[:num_direct], inside[:num_direct]
+    divisor = None if layers.albedo is None else layers.albedo.clamp(0, 1) + ALBEDO_EPSILON
+    beauty = layers.beauty if divisor is None else layers.beauty / divisor
+    values, validity = beauty[:num_direct], inside[:num_direct]
     if layers.light is not None:
         scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
         valid = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1) * inside[:, None]
@@ -256,7 +259,11 @@ def filter_layers(
     weight = importance_weight(levels[0].importance) * validity
     filtered = filter_pyramid(torch.cat([values * weight, weight], 1), levels, image, group)
     direct, filtered = divide(filtered).split([num_direct, len(image) - num_direct])
-    direct = direct if num_direct > 0 else None
+    if num_direct == 0:
+        direct = None
+    elif divisor is not None:
+        # Textures pass by the wide kernels: they are put on again from the albedo, as finely filtered as a colour.
+        direct = direct * filter_narrow(net, heads[0], embeddings[0], torch.cat([divisor, inside], 1), "color")
     if layers.light is None:
         return Denoised(direct)
 
