@@ -24,7 +24,7 @@ import torch
 
 from training.data.store import write_atomic
 from training.export import KIND, load_weights, read_weights
-from training.models.quell import GROUPS, multiply_adds
+from training.models.quell import multiply_adds_range
 from training.runlog import hours, read_log
 from training.train import config_from_json, run_folder
 
@@ -65,7 +65,7 @@ def describe_weights(path: Path) -> dict[str, Any]:
         facts |= {
             "parameters": sum(p.numel() for p in model.parameters()),
             "widths": list(config.widths),
-            "multiply_adds": [round(multiply_adds(config, 1, False)), round(multiply_adds(config, len(GROUPS), True))],
+            "multiply_adds": [round(macs) for macs in multiply_adds_range(config)],
         }
     return facts
 

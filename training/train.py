@@ -30,7 +30,7 @@ from training.data.stream import stream
 from training.device import autocast, choose_device, describe, move
 from training.grow import origin_model
 from training.loss import quell_loss
-from training.models.quell import GROUPS, Quell, QuellConfig, multiply_adds
+from training.models.quell import Quell, QuellConfig, multiply_adds_range
 from training.muon import make_optimisers
 from training.paths import state_root
 
@@ -146,7 +146,7 @@ def train(
         saved = {"config": dataclasses.asdict(config), "git": git_revision(), "device": describe(device)}
         (folder / "config.json").write_text(json.dumps(saved, indent=1))
     frames = roster.frames(step)
-    macs = multiply_adds(config.model, 1, False), multiply_adds(config.model, len(GROUPS), True)
+    macs = multiply_adds_range(config.model)
     print(
         f"{name}: step {step}, {len(frames)} frames, {macs[0]:.0f} to {macs[1]:.0f} multiply-adds per pixel, "
         f"{describe(device)}",

@@ -473,6 +473,13 @@ static double dgan_macs(const work *w)
            (parts == QUELL_DGAN_GENERATOR ? 0.0 : ql_kpn_macs_per_pixel(&w->dgan->kpn));
 }
 
+static uint32_t count_bits(uint32_t bits)
+{
+    uint32_t num = 0;
+    for (; bits; bits &= bits - 1) ++num;
+    return num;
+}
+
 static quell_status make_report(const work *w, const ql_model *model, double seconds, int dry, ql_report **out,
                                 ql_error *err)
 {
@@ -486,7 +493,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     report->names = ql_alloc_zero(&report->memory, num, sizeof *report->names);
     report->model_name = ql_strdup(&report->memory, info.name);
     int failed = report->layers == NULL || report->names == NULL || report->model_name == NULL;
-    uint32_t groups = 0, has_light = 0;
+    uint32_t groups = 0, narrow = 0;
     int32_t combined = QL_COMBINED_DIRECT;
     if (!failed) report->summary.num_layers = num;
     for (uint32_t i = 0; i < num && !failed; ++i) {
@@ -509,7 +516,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         }
         const int is_combined = w->frame->layers[i].role == QUELL_ROLE_COMBINED;
         if (plan->group == QL_GROUP_COLOR || plan->group == QL_GROUP_EMISSION)
-            has_light = 1;
+            narrow |= 1u << (plan->group == QL_GROUP_EMISSION);
         else if (!is_combined || w->plan.sets[plan->set].combined == QL_COMBINED_DIRECT || !scan->is_constant_alpha)
             groups |= 1u << (2 * plan->group + ql_role_is_indirect(w->frame->layers[i].role));
     }
@@ -517,10 +524,10 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         ql_report_destroy(report);
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: report");
     }
-    for (uint32_t s = 0; s < w->plan.num_sets; ++s)
+    for (uint32_t s = 0; s < w->plan.num_sets; ++s) {
         if (w->plan.sets[s].combined > combined) combined = w->plan.sets[s].combined;
-    uint32_t num_groups = 0;
-    for (; groups; groups >>= 1) num_groups += groups & 1u;
+        if (ql_region_divides(w->frame, &w->plan, s)) narrow |= 1u;
+    }
     quell_report_summary *const summary = &report->summary;
     summary->struct_size = sizeof *summary;
     summary->tile_width = w->tile_width;
@@ -529,7 +536,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     summary->halo = w->num_tiles > 1 ? w->halo : 0;
     summary->peak_bytes = dry ? w->planned_bytes : atomic_load(&w->env->memory->peak_bytes);
     summary->macs_per_pixel =
-        w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, num_groups, (int32_t)has_light);
+        w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, count_bits(groups), count_bits(narrow));
     summary->combined = ql_plan_combined_name(combined);
     summary->model_name = report->model_name;
     for (uint32_t s = 0; s < w->plan.num_sets; ++s) {

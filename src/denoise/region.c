@@ -16,12 +16,15 @@
 enum {
     FEATURE_ROWS = 48, /* rows of scratch that one row of features is made from */
     VALUE_ROWS = 12,   /* ... that one row of values is made from */
+    DIVISOR_ROW = 4,   /* of these, the first of four for the albedo */
     MAX_BATCH = 8,     /* layers filtered at a time */
     MAX_COLORS = 3
 };
 
 /* A colour this small halves the weight of its light: the ratio is noise there. training/models/quell.py */
 #define COLOR_EPSILON 0.02f
+/* Added to the albedo that Combined is divided by: what is black has highlights still. training/models/quell.py */
+#define ALBEDO_EPSILON 0.02f
 /* Weights below it are none: importance is at least e^-12, so only bad pixels and black colours get there. */
 #define MIN_WEIGHT 1e-12f
 
@@ -30,9 +33,13 @@ typedef struct member {
     int32_t layer; /* whose result is written */
     const ql_layer *source;
     const ql_scan *scan;
-    float *result;
+    float *result;         /* [channel][y][x] from pixel (x0, y0) on */
+    size_t plane, stride;  /* of the result, in floats */
+    uint32_t x0, y0;
     uint32_t num_channels; /* filtered: 3 colours, and alpha where it varies */
     uint32_t first_plane, weight_plane;
+    int32_t is_divided; /* by the albedo while it is filtered */
+    int32_t is_divisor; /* the albedo itself, as a divisor */
 } member;
 
 typedef struct batch {
@@ -46,6 +53,7 @@ typedef struct batch {
     int32_t color_role; /* of the colour whose size weighs this group's light, or QUELL_ROLE_OTHER */
     member members[MAX_BATCH];
     uint32_t num_members, num_planes;
+    float *divisor; /* the filtered albedo plus epsilon, [3][y][x] of the region's own pixels; NULL without one */
     float *scratch; /* per worker */
     size_t scratch_floats;
 } batch;
@@ -303,6 +311,26 @@ static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float
     }
 }
 
+/* Albedo as radiance is divided by it: never zero; where it is no number, radiance stays as it is. */
+static void make_divisor(float *const *rows, const float *valid, uint32_t width)
+{
+    for (uint32_t c = 0; c < MAX_COLORS; ++c)
+        for (uint32_t x = 0; x < width; ++x) {
+            const float a = rows[c][x] < 1.0f ? rows[c][x] : 1.0f;
+            rows[c][x] = valid[x] > 0.0f ? (a > 0.0f ? a : 0.0f) + ALBEDO_EPSILON : 1.0f;
+        }
+}
+
+/* The region's noisy albedo as a divisor. rows: three for it, one for its validity. */
+static void read_divisor(const batch *b, uint32_t y, float *const *rows)
+{
+    const int32_t index = b->set->role_layer[QUELL_ROLE_DENOISING_ALBEDO];
+    const uint32_t width = b->job->frame->width;
+    ql_read_fixed_row(&b->job->frame->layers[index], &b->job->scans[index], width, y, MAX_COLORS, rows,
+                      rows[MAX_COLORS]);
+    make_divisor(rows, rows[MAX_COLORS], width);
+}
+
 static void give_values(void *user, uint32_t region_y, const float *importance, uint32_t worker, float *const *planes)
 {
     const batch *const b = user;
@@ -321,7 +349,14 @@ static void give_values(void *user, uint32_t region_y, const float *importance, 
     if (b->color_role != QUELL_ROLE_OTHER) weigh_by_color(b, y, rows, weight, num);
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
-        ql_read_fixed_row(m->source, m->scan, frame->width, y, m->num_channels, rows, valid);
+        if (m->is_divisor) {
+            read_divisor(b, y, rows);
+            for (uint32_t x = 0; x < frame->width; ++x) valid[x] = 1.0f;
+        } else {
+            ql_read_fixed_row(m->source, m->scan, frame->width, y, m->num_channels, rows, valid);
+        }
+        float *const *const divisor = rows + DIVISOR_ROW;
+        if (m->is_divided) read_divisor(b, y, divisor);
         float *const w = planes[m->weight_plane];
         for (uint32_t x = 0; x < num; ++x) w[x] = weight[x] * valid[region->rx + x];
         for (uint32_t c = 0; c < m->num_channels; ++c) {
@@ -329,15 +364,25 @@ static void give_values(void *user, uint32_t region_y, const float *importance, 
             float *const out = planes[m->first_plane + c];
             /* A zero weight must not meet the infinity of a bad alpha. */
             for (uint32_t x = 0; x < num; ++x) out[x] = w[x] > 0.0f && isfinite(row[x]) ? w[x] * row[x] : 0.0f;
+            if (!m->is_divided || c >= MAX_COLORS) continue;
+            const float *const albedo = divisor[c] + region->rx;
+            for (uint32_t x = 0; x < num; ++x) out[x] /= albedo[x];
         }
     }
     for (uint32_t p = 0; p < b->num_planes; ++p) memset(planes[p] + num, 0, (width - num) * sizeof *planes[p]);
 }
 
-static float *result_row(const batch *b, const member *m, uint32_t channel, uint32_t y)
+/* Where pixel x of the image is element x - m->x0. */
+static float *result_row(const member *m, uint32_t channel, uint32_t y)
 {
-    const ql_frame *const frame = b->job->frame;
-    return m->result + ((size_t)channel * frame->height + y) * frame->width;
+    return m->result + channel * m->plane + (y - m->y0) * m->stride;
+}
+
+/* Row y of the filtered albedo, where element 0 is the region's x0. */
+static const float *divisor_row(const batch *b, uint32_t channel, uint32_t y)
+{
+    const size_t width = b->region->x1 - b->region->x0, height = b->region->y1 - b->region->y0;
+    return b->divisor + (channel * height + (y - b->region->y0)) * width;
 }
 
 static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32_t num, uint32_t worker,
@@ -355,10 +400,12 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
         const float *const weight = planes[m->weight_plane];
         for (uint32_t c = 0; c < m->num_channels; ++c) {
             const float *const value = planes[m->first_plane + c];
-            float *const out = result_row(b, m, c, y);
+            float *const out = result_row(m, c, y);
+            const float *const factor = m->is_divided && c < MAX_COLORS ? divisor_row(b, c, y) : NULL;
             /* Where nothing valid is in reach the pixel stays (results start as a cleaned copy of the input). */
             for (uint32_t x = x0; x < x1; ++x)
-                if (weight[x - from] > MIN_WEIGHT) out[x] = value[x - from] / weight[x - from];
+                if (weight[x - from] > MIN_WEIGHT)
+                    out[x - m->x0] = value[x - from] / weight[x - from] * (factor ? factor[x - region->x0] : 1.0f);
         }
     }
 }
@@ -381,7 +428,7 @@ static void restore_task(void *user, uint32_t task, uint32_t worker)
         ql_read_fixed_row(m->source, m->scan, width, y, m->num_channels, (float *const *)value, NULL);
         float *const *const empty = has_color ? color : (float *const *)value;
         for (uint32_t c = 0; c < m->num_channels; ++c) {
-            float *const out = result_row(b, m, c, y);
+            float *const out = result_row(m, c, y); /* of the whole image */
             for (uint32_t x = region->x0; x < region->x1; ++x) {
                 const int is_empty = empty[0][x] == 0.0f && empty[1][x] == 0.0f && empty[2][x] == 0.0f &&
                                      (has_color || value[3][x] == 0.0f);
@@ -396,6 +443,27 @@ static uint32_t num_filtered_channels(const ql_layer *layer, const ql_scan *scan
     const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
     const int has_alpha = layer->num_channels == 4 && group == QL_GROUP_BEAUTY && !scan->is_constant_alpha;
     return colors + (has_alpha ? 1 : 0);
+}
+
+/* Whether a layer is light that came from the surfaces whose albedo is known: about albedo times irradiance. */
+static int is_lit_albedo(int32_t role)
+{
+    return role == QUELL_ROLE_COMBINED || role == QUELL_ROLE_LIGHT_GROUP;
+}
+
+int ql_region_divides(const ql_frame *frame, const ql_plan *plan, uint32_t set_index)
+{
+    const ql_plan_set *const set = &plan->sets[set_index];
+    const int32_t albedo = set->role_layer[QUELL_ROLE_DENOISING_ALBEDO];
+    if (albedo == QL_PLAN_NONE || frame->layers[albedo].num_channels < MAX_COLORS) return 0;
+    for (uint32_t i = 0; i < plan->num_layers; ++i) {
+        const int32_t role = frame->layers[i].role;
+        const int is_sum = role == QUELL_ROLE_COMBINED && set->combined != QL_COMBINED_DIRECT;
+        if (plan->layers[i].action == QUELL_ACTION_DENOISED && plan->layers[i].set == (int32_t)set_index &&
+            is_lit_albedo(role) && !is_sum)
+            return 1;
+    }
+    return 0;
 }
 
 /* Fills the batch with layers of its group from *next on, as many as fit. */
@@ -415,6 +483,9 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
         m.source = &b->job->frame->layers[layer->source];
         m.scan = &b->job->scans[layer->source];
         m.result = b->job->results[*next];
+        m.stride = b->job->frame->width;
+        m.plane = m.stride * b->job->frame->height;
+        m.is_divided = b->divisor != NULL && is_lit_albedo(b->job->frame->layers[*next].role);
         m.num_channels = num_filtered_channels(m.source, m.scan, b->group);
         const int own_weight = m.scan->num_bad > 0 || !has_shared_weight;
         if (b->num_planes + m.num_channels + (own_weight ? 1 : 0) > QL_PYRAMID_MAX_PLANES) return;
@@ -464,6 +535,30 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
     return QUELL_OK;
 }
 
+/* Filters the albedo as finely as a colour: textures pass by the wide kernels and are put on again from it. */
+static quell_status filter_albedo(batch *b, ql_env *env, ql_error *err)
+{
+    const ql_pyramid_source source = {b, QL_NET_DIMS, b->levels, give_fine, give_coarse, give_values, take_result};
+    const ql_region *const region = b->region;
+    const size_t width = region->x1 - region->x0, height = region->y1 - region->y0;
+    b->divisor = ql_alloc(env->memory, MAX_COLORS * height, width * sizeof *b->divisor);
+    if (b->divisor == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: filtered albedo");
+    b->group = QL_GROUP_COLOR;
+    b->color_role = QUELL_ROLE_OTHER;
+    b->members[0] = (member){.result = b->divisor,
+                             .plane = width * height,
+                             .stride = width,
+                             .x0 = region->x0,
+                             .y0 = region->y0,
+                             .num_channels = MAX_COLORS,
+                             .weight_plane = MAX_COLORS,
+                             .is_divisor = 1};
+    b->num_members = 1;
+    b->num_planes = MAX_COLORS + 1;
+    set_levels(b);
+    return filter_batch(b, env, &source, err);
+}
+
 static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, const ql_region *region,
                                 const ql_net_maps *maps, ql_error *err)
 {
@@ -476,7 +571,8 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
     b.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), b.scratch_floats * sizeof *b.scratch);
     if (b.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of layers");
     const double from = env->progress_from, to = env->progress_to;
-    quell_status status = QUELL_OK;
+    quell_status status =
+        ql_region_divides(job->frame, job->plan, set_index) ? filter_albedo(&b, env, err) : QUELL_OK;
     for (uint32_t i = 0; i < QL_NUM_GROUPS + 1 && status == QUELL_OK; ++i) {
         b.group = order[i < QL_NUM_GROUPS ? i : QL_NUM_GROUPS - 1];
         b.color_role = QUELL_ROLE_OTHER;
@@ -491,6 +587,7 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
     }
     env->progress_from = from;
     env->progress_to = to;
+    ql_free(env->memory, b.divisor);
     ql_free(env->memory, b.scratch);
     return status;
 }
@@ -523,6 +620,7 @@ uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t i
     if (planes > QL_PYRAMID_MAX_PLANES) planes = QL_PYRAMID_MAX_PLANES;
     const uint64_t filters = ql_net_maps_bytes(net, width, height) +
                              ql_pyramid_peak_bytes(width, height, planes, QL_NET_DIMS, num_workers) +
+                             MAX_COLORS * sizeof(float) * width * (uint64_t)height + /* the filtered albedo */
                              num_workers * sizeof(float) * batch_scratch_floats(image_width);
     return network > filters ? network : filters;
 }

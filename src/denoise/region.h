@@ -32,6 +32,9 @@ typedef struct ql_region {
 quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feature_setup *setup,
                            const ql_region *region, ql_error *err);
 
+/* Whether layers of a set are divided by the albedo while they are filtered: Combined that is no sum, light groups. */
+int ql_region_divides(const ql_frame *frame, const ql_plan *plan, uint32_t set);
+
 /* Working memory of ql_region_run, in bytes, as an upper bound. */
 uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t image_width, uint32_t width,
                               uint32_t height, uint32_t num_workers);

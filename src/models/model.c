@@ -161,8 +161,8 @@ void ql_model_get_info(const ql_model *model, quell_model_info *info)
         return;
     }
     info->num_parameters = model->net.num_parameters;
-    info->macs_per_pixel = ql_net_macs_per_pixel(&model->net, 1, 0);
-    info->macs_per_pixel_all = ql_net_macs_per_pixel(&model->net, QL_NET_GROUPS, 1);
+    info->macs_per_pixel = ql_net_macs_per_pixel(&model->net, 1, 1);
+    info->macs_per_pixel_all = ql_net_macs_per_pixel(&model->net, QL_NET_GROUPS - 1, QL_NET_NARROW_GROUPS);
 }
 
 const char *ql_model_builtin_name(uint32_t index)

@@ -190,7 +190,7 @@ void ql_net_free(ql_net *net, ql_memory *memory)
     memset(net, 0, sizeof *net);
 }
 
-double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has_light)
+double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t num_narrow_groups)
 {
     static const double per[QL_NET_LEVELS] = {1.0 / 4, 1.0 / 16, 1.0 / 64, 1.0 / 256};
     double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = (double)FINE_FIELDS * net->widths[0];
@@ -202,8 +202,7 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has
             total += 5.0 * w * net->widths[l + 1] * per[l + 1] + 9.0 * w * w * net->up_convs[l] * per[l];
         head += w * group_planes(l + 1) * per[l];
     }
-    if (has_light) total += QL_NET_NARROW_GROUPS * (QL_NET_DIMS + 1.0) * net->widths[0];
-    return total + num_groups * head;
+    return total + num_narrow_groups * (QL_NET_DIMS + 1.0) * net->widths[0] + num_groups * head;
 }
 
 uint32_t ql_net_reach(const ql_net *net)

@@ -52,7 +52,7 @@ typedef struct ql_net {
 
 quell_status ql_net_load(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err);
 void ql_net_free(ql_net *net, ql_memory *memory);
-double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, int32_t has_light);
+double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t num_narrow_groups);
 
 /* Pixels from which one result of the body is computed, in each direction, rounded up to QL_NET_ALIGNMENT. */
 uint32_t ql_net_reach(const ql_net *net);

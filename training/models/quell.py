@@ -294,8 +294,8 @@ class Quell(nn.Module):
         return filter_layers(self.net, features, layers, with_direct=with_direct)
 
 
-def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
-    """Multiply-adds of the convolutions per image pixel, when `groups` groups of layers are filtered."""
+def multiply_adds(config: QuellConfig, groups: int, narrow_groups: int) -> float:
+    """Multiply-adds of the convolutions per image pixel, when so many groups of layers are filtered."""
     w, per = config.widths, (1 / 4, 1 / 16, 1 / 64, 1 / 256)
     total = NUM_FEATURES * w[0] * 4 * per[0] + 9 * DETAIL * (DETAIL + EMBEDDING)
     for i in range(4):
@@ -306,4 +306,9 @@ def multiply_adds(config: QuellConfig, groups: int, light: bool) -> float:
         total += config.up_convs[i] * 9 * w[i] ** 2 * per[i]
     head = group_planes(0) * w[0] + sum(group_planes(i + 1) * w[i] * per[i] for i in range(4))
     total += groups * head + EMBEDDING * (w[0] + GUIDE_PLANES.stop - GUIDE_PLANES.start)
-    return total + (len(NARROW_GROUPS) * NARROW_FIELDS * w[0] if light else 0)
+    return total + narrow_groups * NARROW_FIELDS * w[0]
+
+
+def multiply_adds_range(config: QuellConfig) -> tuple[float, float]:
+    """Of Combined with its albedo, and of all light passes."""
+    return multiply_adds(config, 1, 1), multiply_adds(config, len(GROUPS) - 1, len(NARROW_GROUPS))
