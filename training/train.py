@@ -176,7 +176,7 @@ def train(
             batch = finish_batch(move(batch, device))
         with autocast(device, config.bfloat16):
             out = model(batch.features, batch.layers, batch.with_direct)
-        loss = quell_loss(out, batch.layers, batch.target)
+        loss = quell_loss(out, batch.layers, batch.target, batch.level)
         model.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)

@@ -35,6 +35,7 @@ class Batch:
     features: Features
     layers: Layers
     target: Layers  # light holds light x colour here
+    level: Layers  # the target nearly without noise: what errors are relative to
     spp: Tensor
     with_direct: bool
 
@@ -64,8 +65,10 @@ def combine_inputs(parts: list[np.ndarray]) -> np.ndarray:
     return mean
 
 
-def crop_frame(frame: PackedFrame, rng: np.random.Generator, config: CropConfig) -> tuple[np.ndarray, np.ndarray, int]:
-    """One input [47,n,n] and its independent target [39,n,n]."""
+def crop_frame(
+    frame: PackedFrame, rng: np.random.Generator, config: CropConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """One input [47,n,n], its independent target and the level of both [39,n,n], and the input's spp."""
     chosen, spp = choose_input(frame, rng, config)
     height, width = frame.sums.shape[1:]
     y = int(rng.integers(0, height - config.crop + 1))
@@ -74,7 +77,7 @@ def crop_frame(frame: PackedFrame, rng: np.random.Generator, config: CropConfig)
     parts = [frame.inputs[i][window].astype(np.float32) for i in chosen]
     used = sum(to_target(p) * frame.spp[i] for p, i in zip(parts, chosen, strict=True))
     target = (frame.sums[window] - used) / (frame.total_spp - spp)
-    return combine_inputs(parts), target, spp
+    return combine_inputs(parts), target, frame.level(window), spp
 
 
 def turn(array: np.ndarray, flip_x: bool, flip_y: bool, transpose: bool) -> np.ndarray:
@@ -100,14 +103,16 @@ RGB_TARGET = ("beauty", "product", "color", "emission")
 
 
 def augment(
-    inputs: np.ndarray, target: np.ndarray, closes: bool, rng: np.random.Generator, config: CropConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Turns, permutes colours, scales exposure and, where the passes sum to Combined, re-weights light by group."""
+    inputs: np.ndarray, wanted: list[np.ndarray], closes: bool, rng: np.random.Generator, config: CropConfig
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Turns, permutes colours, scales exposure and, where the passes sum to Combined, re-weights light by group: of one
+    input, and alike of what is wanted in TARGET's channels."""
     flips = tuple(bool(b) for b in rng.integers(0, 2, 3))
-    inputs, target = turn(inputs, *flips).copy(), turn(target, *flips).copy()
+    inputs, wanted = turn(inputs, *flips).copy(), [turn(array, *flips).copy() for array in wanted]
     inputs[INPUT["normal"]] = turn_normal(inputs[INPUT["normal"]], *flips)
     order = rng.permutation(3)
-    for array, table, names in ((inputs, INPUT, RGB_INPUT), (target, TARGET, RGB_TARGET)):
+    tables = [(inputs, INPUT, RGB_INPUT), *((array, TARGET, RGB_TARGET) for array in wanted)]
+    for array, table, names in tables:
         for name in names:
             part = array[table[name]]
             array[table[name]] = part.reshape(-1, 3, *part.shape[1:])[:, order].reshape(part.shape)
@@ -121,16 +126,22 @@ def augment(
         by_part = factors[:4, None].repeat(2, 1).reshape(24, 1, 1)
         inputs[INPUT["light"]] *= by_part
         inputs[INPUT["emission"]] *= factors[4].reshape(3, 1, 1)
-        target[TARGET["product"]] *= by_part
-        target[TARGET["emission"]] *= factors[4].reshape(3, 1, 1)
-        for array, table in ((to_target(inputs), TARGET), (target, TARGET)):
-            total = array[table["product"]].reshape(8, 3, *array.shape[1:]).sum(0) + array[table["emission"]]
-            (inputs[INPUT["beauty"]] if array is not target else target[TARGET["beauty"]])[:] = total
+        for array in wanted:
+            array[TARGET["product"]] *= by_part
+            array[TARGET["emission"]] *= factors[4].reshape(3, 1, 1)
+            array[TARGET["beauty"]] = sum_parts(array)
+        inputs[INPUT["beauty"]] = sum_parts(to_target(inputs))
     else:
         factor = (exposure * tint).astype(np.float32).reshape(3, 1, 1)
         inputs[INPUT["beauty"]] *= factor
-        target[TARGET["beauty"]] *= factor
-    return inputs, target
+        for array in wanted:
+            array[TARGET["beauty"]] *= factor
+    return inputs, wanted
+
+
+def sum_parts(target: np.ndarray) -> np.ndarray:
+    """Combined [3,h,w] of TARGET's channels."""
+    return target[TARGET["product"]].reshape(8, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
 
 
 def to_layers(x: Tensor, has_light: bool) -> Layers:
@@ -173,6 +184,7 @@ class RawBatch:
 
     inputs: Tensor  # [n,47,h,w] in INPUT's order
     target: Tensor  # [n,39,h,w] in TARGET's
+    level: Tensor  # [n,39,h,w]
     spp: Tensor  # [n]
     known: Tensor  # [n] spp as the network sees it, 0: hidden
     jitter: Tensor  # [n] stops of exposure
@@ -189,15 +201,16 @@ def draw_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Raw
     pool = closing if has_light and closing else frames
     inputs = np.empty((config.batch, NUM_INPUT, config.crop, config.crop), np.float32)
     target = np.empty((config.batch, NUM_TARGET, config.crop, config.crop), np.float32)
+    level = np.empty_like(target)
     spp = np.empty(config.batch, np.float32)
     for i in range(config.batch):
         frame = pool[int(rng.integers(len(pool)))]
-        x, t, spp[i] = crop_frame(frame, rng, config)
-        inputs[i], target[i] = augment(x, t, frame.closes, rng, config)
+        x, *wanted, spp[i] = crop_frame(frame, rng, config)
+        inputs[i], (target[i], level[i]) = augment(x, wanted, frame.closes, rng, config)
     albedo, normal, depth = (bool(b) for b in rng.random(3) < config.drop_guide)
     known = spp * float(rng.random() >= config.hide_spp)
     jitter = rng.integers(-1, 2, config.batch).astype(np.float32)
-    tensors = map(torch.from_numpy, (inputs, target, spp, known, jitter))
+    tensors = map(torch.from_numpy, (inputs, target, level, spp, known, jitter))
     with_direct = not has_light or bool(rng.random() < config.direct_fraction)
     return RawBatch(*tensors, has_light, with_direct, (albedo, normal, depth))
 
@@ -214,7 +227,8 @@ def finish_batch(raw: RawBatch) -> Batch:
     depth = x.new_tensor([log_exponent(d) for d in x[:, INPUT["depth"]]])
     features = make_features(layers, guides, raw.known, exposure, depth)
     layers = replace(layers, albedo=guides.albedo)
-    return Batch(features, layers, target_layers(raw.target), raw.spp, raw.with_direct)
+    target, level = target_layers(raw.target), target_layers(raw.level)
+    return Batch(features, layers, target, level, raw.spp, raw.with_direct)
 
 
 def make_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Batch:

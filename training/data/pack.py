@@ -4,6 +4,7 @@
     inputs.npy  [renders, 47, h, w] float16: each render of up to MAX_INPUT_SPP samples (or the one with
                                             fewest), in INPUT's channel order
     sums.npy    [39, h, w] float32: sum over all renders of spp * value, in TARGET's channel order
+    clean.npy   [39, h, w] float16: about what the frame converges to (training/data/clean.py); may be missing
     pack.json   spp of each input, total spp, whether the passes sum to Combined
 
 Light passes are ratios of pixel means, so averages are taken of light x colour, which is linear in the samples. A
@@ -62,6 +63,14 @@ class PackedFrame:
     spp: list[int]
     total_spp: int
     closes: bool
+    clean: np.ndarray | None = None
+
+    def level(self, window: tuple[slice, ...]) -> np.ndarray:
+        """TARGET's channels [39,n,n] of a window, as nearly without noise as they are known: what errors are relative
+        to."""
+        if self.clean is not None:
+            return self.clean[window].astype(np.float32)
+        return self.sums[window] / np.float32(self.total_spp)
 
 
 def select_passes(render: np.ndarray, with_environment: bool) -> np.ndarray:
@@ -203,6 +212,7 @@ def open_packs(split: str, root: Path | None) -> list[PackedFrame]:
                 info["spp"],
                 info["total_spp"],
                 info["closes"],
+                np.load(clean, mmap_mode="r") if (clean := folder / "clean.npy").exists() else None,
             )
         )
     return frames

@@ -68,7 +68,7 @@ def losses() -> ctypes.CDLL:
     """The robust relative error."""
     lib = compiled(LOSSES)
     pointer = ctypes.c_void_p
-    lib.relative_error.argtypes = [ctypes.c_long] * 5 + [ctypes.c_float] * 2 + [pointer] * 4
+    lib.relative_error.argtypes = [ctypes.c_long] * 5 + [ctypes.c_float] * 2 + [pointer] * 5
     lib.relative_error.restype = None
     return lib
 
@@ -143,21 +143,18 @@ class Partition(torch.autograd.Function):
 
 class RelativeError(torch.autograd.Function):
     """`training.loss.relative_error_reference` on the CPU; scales 3: with that of means over 4x4 and 16x16, at half
-    weight. The target gets no gradient."""
+    weight. The image alone gets a gradient."""
 
     @staticmethod
-    def forward(
-        ctx, image: torch.Tensor, target: torch.Tensor, scales: int, epsilon: float, turn: float
-    ) -> torch.Tensor:
-        image, target = image.float().contiguous(), target.float().contiguous()
+    def forward(ctx, image, target, level, scales: int, epsilon: float, turn: float) -> torch.Tensor:
+        image, target, level = (t.float().contiguous() for t in (image, target, level))
         loss = torch.empty(image.shape[0])
         ctx.gradient = torch.empty_like(image) if ctx.needs_input_grad[0] else None
         gradient = None if ctx.gradient is None else ctx.gradient.data_ptr()
-        losses().relative_error(
-            *image.shape, scales, epsilon, turn, image.data_ptr(), target.data_ptr(), loss.data_ptr(), gradient
-        )
+        pointers = (image.data_ptr(), target.data_ptr(), level.data_ptr(), loss.data_ptr(), gradient)
+        losses().relative_error(*image.shape, scales, epsilon, turn, *pointers)
         return loss
 
     @staticmethod
     def backward(ctx, grad: torch.Tensor):
-        return ctx.gradient * grad[:, None, None, None], None, None, None, None
+        return ctx.gradient * grad[:, None, None, None], None, None, None, None, None

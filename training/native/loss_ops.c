@@ -11,7 +11,7 @@ enum { NUM_SCALES = 3 };
 
 typedef struct plane {
     long height, width;
-    const float *image, *target;
+    const float *image, *target, *level;
     float *grad; /* NULL: no gradient wanted */
 } plane;
 
@@ -20,48 +20,25 @@ static float *floats(long num)
     return malloc((size_t)(num > 0 ? num : 1) * sizeof(float));
 }
 
-/* around[x]: mean of row y's 3x3 surroundings, without what lies outside, of max(target, 0). columns: width floats. */
-static void surroundings_row(const plane *p, long y, float *columns, float *around)
-{
-    const long w = p->width, top = y > 0 ? y - 1 : y, bottom = y + 1 < p->height ? y + 1 : y;
-    const float rows = (float)(bottom - top + 1);
-    for (long x = 0; x < w; ++x) columns[x] = 0.0f;
-    for (long i = top; i <= bottom; ++i) {
-        const float *const t = p->target + i * w;
-        for (long x = 0; x < w; ++x) columns[x] += t[x] > 0.0f ? t[x] : 0.0f;
-    }
-    if (w == 1) {
-        around[0] = columns[0] / rows;
-        return;
-    }
-    for (long x = 1; x + 1 < w; ++x) around[x] = (columns[x - 1] + columns[x] + columns[x + 1]) / (3.0f * rows);
-    around[0] = (columns[0] + columns[1]) / (2.0f * rows);
-    around[w - 1] = (columns[w - 2] + columns[w - 1]) / (2.0f * rows);
-}
-
-/* Sum over a plane of turn^2 (sqrt(1 + s / turn^2) - 1), s = (image - target)^2 / (level^2 + epsilon), level =
- * min(image, 2 around) without a gradient of its own. Gradients are written, of the sum. */
+/* Sum over a plane of turn^2 (sqrt(1 + s / turn^2) - 1), s = (image - target)^2 / (level^2 + epsilon). Gradients are
+ * written, of the sum. */
 static double relative_plane(const plane *p, float epsilon, float turn)
 {
-    const long w = p->width;
     const float square = turn * turn, inverse = 1.0f / square;
-    float *const columns = floats(2 * w), *const around = columns + w;
     double total = 0.0;
     for (long y = 0; y < p->height; ++y) {
-        const float *const image = p->image + y * w, *const target = p->target + y * w;
-        float *const grad = p->grad ? p->grad + y * w : columns; /* read before it is written, or not wanted */
+        const float *const image = p->image + y * p->width, *const target = p->target + y * p->width;
+        const float *const level = p->level + y * p->width;
+        float *const grad = p->grad ? p->grad + y * p->width : NULL;
         float sum = 0.0f;
-        surroundings_row(p, y, columns, around);
-        for (long x = 0; x < w; ++x) {
-            const float twice = 2.0f * around[x], level = image[x] < twice ? image[x] : twice;
-            const float error = image[x] - target[x], weight = 1.0f / (level * level + epsilon);
+        for (long x = 0; x < p->width; ++x) {
+            const float error = image[x] - target[x], weight = 1.0f / (level[x] * level[x] + epsilon);
             const float root = sqrtf(1.0f + error * error * weight * inverse);
             sum += square * (root - 1.0f);
-            grad[x] = error * weight / root;
+            if (grad) grad[x] = error * weight / root;
         }
         total += sum;
     }
-    free(columns);
     return total;
 }
 
@@ -83,10 +60,11 @@ static double pooled_plane(const plane *p, long size, float weight, float epsilo
 {
     const long height = p->height / size, width = p->width / size, num = height * width;
     if (num == 0) return 0.0;
-    float *const buffer = floats(3 * num);
-    const plane small = {height, width, buffer, buffer + num, p->grad ? buffer + 2 * num : NULL};
+    float *const buffer = floats(4 * num);
+    const plane small = {height, width, buffer, buffer + num, buffer + 2 * num, p->grad ? buffer + 3 * num : NULL};
     pool(p->image, p->width, size, height, width, buffer);
     pool(p->target, p->width, size, height, width, buffer + num);
+    pool(p->level, p->width, size, height, width, buffer + 2 * num);
     const double total = relative_plane(&small, epsilon, turn) / (double)num;
     const float share = weight / (float)(size * size) / (float)num;
     for (long y = 0; p->grad && y < height * size; ++y)
@@ -99,7 +77,7 @@ static double pooled_plane(const plane *p, long size, float weight, float epsilo
 /* loss[n]: mean over channels and pixels; with scales 3 that of means over 4x4 and 16x16 besides, at half weight.
  * grad: NULL or as the image, of each image's own loss. */
 void relative_error(long n, long channels, long height, long width, long scales, float epsilon, float turn,
-                    const float *image, const float *target, float *loss, float *grad)
+                    const float *image, const float *target, const float *level, float *loss, float *grad)
 {
     static const long sizes[NUM_SCALES] = {1, 4, 16};
     const long num = height * width;
@@ -108,7 +86,7 @@ void relative_error(long n, long channels, long height, long width, long scales,
         double total = 0.0;
         for (long c = 0; c < channels; ++c) {
             const long at = (i * channels + c) * num;
-            const plane p = {height, width, image + at, target + at, grad ? grad + at : NULL};
+            const plane p = {height, width, image + at, target + at, level + at, grad ? grad + at : NULL};
             total += relative_plane(&p, epsilon, turn) / (double)num;
             for (long k = 0; grad && k < num; ++k) p.grad[k] /= (float)num;
             for (long s = 1; s < scales; ++s) total += pooled_plane(&p, sizes[s], 0.5f, epsilon, turn);
