@@ -14,10 +14,13 @@ import pytest
 import torch
 from synthetic import RENDERS, clean_render, sum_passes, write_data_set
 
+from training import export
+from training.data import clean
 from training.data.crops import Batch, CropConfig, augment, combine_inputs, crop_frame, make_batch
 from training.data.pack import INPUT, TARGET, load_packs, pack_new, pack_root, select_passes, to_target
 from training.data.store import CorruptRenderError, pass_slice, read_render
 from training.data.stream import stream
+from training.models.quell import Quell, QuellConfig
 
 CROPS = CropConfig(crop=32, batch=2, seed=7)
 
@@ -95,10 +98,12 @@ def test_target_is_the_mean_of_the_other_renders(data_set: Path) -> None:
     )
     checked = set()
     for seed in range(12):
-        x, target, spp = crop_frame(frame, np.random.default_rng(seed), dataclasses.replace(CROPS, crop=64))
+        x, target, level, spp = crop_frame(frame, np.random.default_rng(seed), dataclasses.replace(CROPS, crop=64))
         if spp == 2:
             continue  # one render or two: which cannot be told from the pixels
         np.testing.assert_allclose(target, (total - spp * to_target(x)) / (32 - spp), rtol=2e-3, atol=2e-3)
+        together = (spp * to_target(x) + (32 - spp) * target) / 32
+        np.testing.assert_allclose(level, together, rtol=2e-3, atol=2e-3)
         checked.add(spp)
     assert len(checked) >= 3
 
@@ -124,8 +129,8 @@ def test_augmentation_keeps_the_passes_summing_up(seed: int) -> None:
     sum_passes(clean)
     inputs = select_passes(clean, True)
     target = to_target(inputs)
-    turned, wanted = augment(inputs.copy(), target.copy(), True, np.random.default_rng(seed), CROPS)
-    assert passes_sum_up(to_target(turned)) and passes_sum_up(wanted)
+    turned, (wanted, level) = augment(inputs.copy(), [target, 2 * target], True, np.random.default_rng(seed), CROPS)
+    assert passes_sum_up(to_target(turned)) and passes_sum_up(wanted) and np.array_equal(wanted[:27] * 2, level[:27])
     # A converged frame stays its own target, whatever was done to it.
     np.testing.assert_allclose(to_target(turned), wanted, rtol=1e-4, atol=1e-5)
 
@@ -133,10 +138,32 @@ def test_augmentation_keeps_the_passes_summing_up(seed: int) -> None:
 def test_augmentation_without_closure_scales_combined_alone() -> None:
     inputs = select_passes(clean_render(32, 5), True)
     inputs[INPUT["beauty"]] = 3.0
-    turned, wanted = augment(inputs.copy(), to_target(inputs), False, np.random.default_rng(0), CROPS)
+    turned, (wanted,) = augment(inputs.copy(), [to_target(inputs)], False, np.random.default_rng(0), CROPS)
     assert np.array_equal(turned[INPUT["beauty"]], wanted[TARGET["beauty"]])
     for name in ("alpha", "depth"):
         assert sorted(turned[INPUT[name]].ravel()) == sorted(inputs[INPUT[name]].ravel())
+
+
+def test_clean_estimates_are_what_errors_are_relative_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = write_data_set(tmp_path)
+    monkeypatch.setenv("QUELL_DATA", str(root))
+    pack_new("train", 5, root)
+    weights = tmp_path / "small.qwt"
+    torch.manual_seed(1)
+    export.export(Quell(QuellConfig((16, 16, 16, 16))), weights, "small", "untrained")
+    for _ in range(2):  # what is there already is left alone
+        monkeypatch.setattr("sys.argv", ["clean", "--weights", str(weights)])
+        clean.main()
+    frame = load_packs("train", root)[0]
+    assert frame.clean is not None and frame.clean.shape == frame.sums.shape
+    found = frame.clean.astype(np.float32)
+    if frame.closes:
+        np.testing.assert_allclose(found[TARGET["beauty"]], clean.sum_parts(found), rtol=5e-3, atol=1e-3)
+    window = (slice(None), slice(8, 40), slice(0, 32))
+    np.testing.assert_array_equal(frame.level(window), frame.clean[window].astype(np.float32))
+    # Denoised, not made up: about as bright as the mean of all renders.
+    mean = frame.sums[TARGET["beauty"]].mean() / frame.total_spp
+    assert frame.clean[TARGET["beauty"]].astype(np.float32).mean() == pytest.approx(mean, rel=0.1)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "no render"])

@@ -41,7 +41,7 @@ def reference_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def loss_and_gradient(model: Quell, frames: list, crops: CropConfig) -> tuple[torch.Tensor, torch.Tensor]:
     batch = make_batch(frames, 0, crops)
     model.zero_grad()
-    loss = quell_loss(model(batch.features, batch.layers), batch.layers, batch.target)
+    loss = quell_loss(model(batch.features, batch.layers), batch.layers, batch.target, batch.level)
     loss.backward()
     return loss.detach(), torch.cat([p.grad.flatten() for p in model.parameters() if p.grad is not None])
 
@@ -71,7 +71,7 @@ def test_one_step_keeps_to_its_device(light: bool, data_set: Path, monkeypatch: 
     batch = finish_batch(move(raw, OTHER))
     model = Quell(SMALL).to(OTHER)
     out = model(batch.features, batch.layers)
-    loss = quell_loss(out, batch.layers, batch.target)
+    loss = quell_loss(out, batch.layers, batch.target, batch.level)
     loss.backward()
     assert loss.device == OTHER and (out.light is not None) == light
     gradients = [p.grad for p in model.parameters() if p.grad is not None]

@@ -18,46 +18,43 @@ def flat(value: float, size: int = 64) -> Tensor:
     return torch.full((1, 3, size, size), float(value))
 
 
-#: Image 1, target 3, relative to the image: (3 - 1)^2 / (1^2 + 0.01), softened from 2 on.
-ONE_TO_THREE = 4 * (math.sqrt(1 + 4 / 1.01 / 4) - 1)
+#: Image 1, target 3, level 2: (3 - 1)^2 / (2^2 + 0.01), softened from 2 on.
+ONE_TO_THREE = 4 * (math.sqrt(1 + 4 / 4.01 / 4) - 1)
 
 
 def test_relative_error_of_flat_images() -> None:
-    assert loss.relative_error(flat(1), flat(3)).item() == pytest.approx(ONE_TO_THREE, rel=1e-6)
-    # Image 9, target 3: the level is held at 6, twice the target: 36 / 36.01.
-    expected = 4 * (math.sqrt(1 + 36 / 36.01 / 4) - 1)
-    assert loss.relative_error(flat(9), flat(3)).item() == pytest.approx(expected, rel=1e-6)
-    assert loss.relative_error(flat(2), flat(2)).item() == 0
+    assert loss.relative_error(flat(1), flat(3), flat(2)).item() == pytest.approx(ONE_TO_THREE, rel=1e-6)
+    assert loss.relative_error(flat(2), flat(2), flat(1)).item() == 0
 
 
 def test_relative_error_is_squared_while_small_and_linear_when_large() -> None:
-    small = loss.relative_error(flat(1.01), flat(1)).item()
-    assert small == pytest.approx(0.5 * 0.01**2 / (1.01**2 + 0.01), rel=0.01)
-    # Beside black the level is 0 and the relative error of x is x / 0.1; twice that from the turn on.
-    assert loss.relative_error(flat(1e4), flat(0)).item() == pytest.approx(2 * 1e5, rel=1e-3)
+    small = loss.relative_error(flat(1.01), flat(1), flat(1)).item()
+    assert small == pytest.approx(0.5 * 0.01**2 / (1 + 0.01), rel=0.01)
+    # Where it converges to black the relative error of x is x / 0.1; twice that from the turn on.
+    assert loss.relative_error(flat(1e4), flat(0), flat(0)).item() == pytest.approx(2 * 1e5, rel=1e-3)
 
 
-def test_relative_error_takes_no_gradient_from_its_denominator() -> None:
-    image = flat(2).requires_grad_()
-    loss.relative_error(image, flat(3)).sum().backward()
+def test_relative_error_has_a_gradient_of_the_image_alone() -> None:
+    image, target, level = (flat(value).requires_grad_() for value in (2, 3, 1.5))
+    loss.relative_error(image, target, level).sum().backward()
     # d/dx 4 (sqrt(1 + s / 4) - 1) = (x - t) / D / sqrt(1 + s / 4), spread over the values of the mean.
-    d = 2**2 + 0.01
+    d = 1.5**2 + 0.01
     expected = (2 - 3) / d / math.sqrt(1 + 1 / d / 4) / image.numel()
-    assert image.grad is not None
+    assert image.grad is not None and target.grad is None and level.grad is None
     torch.testing.assert_close(image.grad, torch.full_like(image, expected))
 
 
 def test_multiscale_of_flat_images_counts_every_scale() -> None:
     # One, plus a half for each of the means over 4x4 and 16x16.
-    single = loss.relative_error(flat(1), flat(2)).item()
-    assert loss.multiscale(flat(1), flat(2)).item() == pytest.approx(2 * single, rel=1e-5)
+    single = loss.relative_error(flat(1), flat(2), flat(2)).item()
+    assert loss.multiscale(flat(1), flat(2), flat(2)).item() == pytest.approx(2 * single, rel=1e-5)
 
 
 def test_multiscale_forgives_at_coarse_scales_what_cancels() -> None:
     checker = ((torch.arange(64)[:, None] + torch.arange(64)) % 2).float().expand(1, 3, 64, 64)
     # Means over 4x4 of a checker are its mean: the coarse terms vanish and the fine one stays.
-    fine = loss.relative_error(checker, flat(0.5)).item()
-    assert loss.multiscale(checker, flat(0.5)).item() == pytest.approx(fine, rel=1e-5)
+    fine = loss.relative_error(checker, flat(0.5), flat(0.5)).item()
+    assert loss.multiscale(checker, flat(0.5), flat(0.5)).item() == pytest.approx(fine, rel=1e-5)
 
 
 def test_energy_is_the_squared_relative_error_of_means() -> None:
@@ -83,15 +80,14 @@ def test_tone_l1() -> None:
 
 
 def test_worth_is_the_inverse_of_the_inputs_error() -> None:
-    assert loss.worth(flat(1), flat(1)).item() == pytest.approx(1 / loss.NOISE_FLOOR)
-    assert loss.worth(flat(1), flat(3)).item() == pytest.approx(1 / (ONE_TO_THREE + loss.NOISE_FLOOR), rel=1e-5)
+    assert loss.worth(flat(1), flat(1), flat(1)).item() == pytest.approx(1 / loss.NOISE_FLOOR)
+    expected = 1 / (ONE_TO_THREE + loss.NOISE_FLOOR)
+    assert loss.worth(flat(1), flat(3), flat(2)).item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_crops_are_weighed_one_by_one() -> None:
-    image = torch.cat([flat(1), flat(2)])
-    target = torch.cat([flat(3), flat(2)])
-    alone = [loss.relative_error(flat(1), flat(3)).item(), 0.0]
-    assert loss.relative_error(image, target).tolist() == pytest.approx(alone)
+    image, target, level = (torch.cat([flat(a), flat(2)]) for a in (1, 3, 2))
+    assert loss.relative_error(image, target, level).tolist() == pytest.approx([ONE_TO_THREE, 0.0])
 
 
 def denoised(value: float) -> tuple[Denoised, Layers]:
@@ -107,20 +103,20 @@ def denoised(value: float) -> tuple[Denoised, Layers]:
 def test_a_perfect_result_costs_nothing() -> None:
     out, target = denoised(1.0)
     _, noisy = denoised(1.7)
-    assert loss.quell_loss(out, noisy, target).item() == pytest.approx(0, abs=1e-9)
-    alone = Denoised(out.direct)
-    assert loss.quell_loss(alone, Layers(noisy.beauty), Layers(target.beauty)).item() == pytest.approx(0, abs=1e-9)
+    assert loss.quell_loss(out, noisy, target, target).item() == pytest.approx(0, abs=1e-9)
+    alone, beauty = Denoised(out.direct), Layers(target.beauty)
+    assert loss.quell_loss(alone, Layers(noisy.beauty), beauty, beauty).item() == pytest.approx(0, abs=1e-9)
 
 
 def test_the_loss_rises_with_the_error_of_every_part() -> None:
     _, target = denoised(1.0)
     _, noisy = denoised(1.7)
-    losses = [loss.quell_loss(denoised(value)[0], noisy, target).item() for value in (1.0, 1.05, 1.2, 1.5)]
+    losses = [loss.quell_loss(denoised(value)[0], noisy, target, target).item() for value in (1.0, 1.05, 1.2, 1.5)]
     assert losses == sorted(losses) and losses[-1] > losses[0]
     out, _ = denoised(1.0)
     for name in ("light", "color", "emission", "rebuilt", "direct"):
         worse = {**vars(out), name: vars(out)[name] + 0.1}
-        assert loss.quell_loss(Denoised(**worse), noisy, target).item() > 0, name
+        assert loss.quell_loss(Denoised(**worse), noisy, target, target).item() > 0, name
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 64), (37, 21), (16, 48)])
@@ -129,8 +125,9 @@ def test_the_loss_in_c_is_that_of_pytorch(name: str, height: int, width: int) ->
     generator = torch.Generator().manual_seed(1)
     image = (2 * torch.rand(3, 3, height, width, generator=generator) - 0.1).requires_grad_()
     target = 3 * torch.rand(3, 3, height, width, generator=generator) - 0.1
+    level = 2 * torch.rand(3, 3, height, width, generator=generator)
     share = torch.tensor([1.0, 2.0, 0.5])
-    ours, theirs = getattr(loss, name)(image, target), getattr(loss, f"{name}_reference")(image, target)
+    ours, theirs = (getattr(loss, one)(image, target, level) for one in (name, f"{name}_reference"))
     torch.testing.assert_close(ours, theirs, rtol=1e-5, atol=1e-6)
     gradients = [torch.autograd.grad((value * share).sum(), image)[0] for value in (ours, theirs)]
     torch.testing.assert_close(*gradients, rtol=1e-5, atol=1e-8)
