@@ -34,12 +34,29 @@ def noisy(pair: Pair) -> tuple[Layers, float]:
     return pair.layers, 0.0
 
 
-def library_method(model: str, beauty: bool, threads: int) -> Method:
-    """A weight file in libquell, with every layer of the frame or with Combined and its guides alone."""
+LIGHT_PASSES = (*(f"{p}{part}" for p in (*LIGHT, "Volume") for part in ("Dir", "Ind", "Col")), "Emit", "Env")
+
+#: What --leave-out takes away, one at a time.
+LEFT_OUT = {
+    "normal": ("Denoising Normal",),
+    "albedo": ("Denoising Albedo",),
+    "depth": ("Denoising Depth",),
+    "guides": GUIDES,
+    "volume passes": ("VolumeDir", "VolumeInd"),
+    "emission and environment": ("Emit", "Env"),
+    "light passes": LIGHT_PASSES,
+    "light passes and albedo": (*LIGHT_PASSES, "Denoising Albedo"),
+    "light passes and guides": (*LIGHT_PASSES, *GUIDES),
+}
+
+
+def library_method(model: str, beauty: bool, threads: int, left_out: Sequence[str] = ()) -> Method:
+    """A weight file in libquell, with every layer of the frame, or Combined and its guides alone, but for some."""
 
     def run(pair: Pair) -> tuple[Layers, float]:
         chosen = {n: x for n, x in pair.layers.items() if not beauty or n == "Combined" or n in GUIDES}
-        return libquell.denoise(model, chosen, pair.spp, threads)
+        kept = {n: x for n, x in chosen.items() if n not in left_out}
+        return libquell.denoise(model, kept, pair.spp, threads)
 
     return run
 
@@ -106,6 +123,9 @@ def choose_methods(args: argparse.Namespace) -> dict[str, Method]:
         name = Path(model).stem or "built-in"
         methods[name] = library_method(model, False, args.threads)
         methods[f"{name}, Combined alone"] = library_method(model, True, args.threads)
+        if args.leave_out:
+            for what, names in LEFT_OUT.items():
+                methods[f"{name} without {what}"] = library_method(model, False, args.threads, names)
     for run in args.run:
         methods[f"run {run}"] = run_method(run, True)
         methods[f"run {run}, Combined alone"] = run_method(run, False)
@@ -137,6 +157,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--spp", default="4,16,64", help="sample counts of the noisy input")
     parser.add_argument("--samples", type=Path, help="folder of EXR files instead of the validation set")
     parser.add_argument("--data", type=Path, help="data set folder")
+    parser.add_argument("--leave-out", action="store_true", help="what each guide and the light passes are worth")
     parser.add_argument("--no-peer", action="store_true", help="leave Open Image Denoise out")
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
     parser.add_argument("--worst", type=int, default=6, help="frames shown as pictures, per sample count")

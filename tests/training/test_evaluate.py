@@ -137,6 +137,17 @@ def test_whole_run(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "4 spp  noisy" in capsys.readouterr().out
 
 
+def test_what_is_left_out_is_missed(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["--model", "", "--no-peer", "--leave-out", "--spp", "4", "--data", str(data), "--out", str(out)]
+    assert evaluate.main(arguments) == 0
+    rows = list(csv.DictReader((out / "scores.csv").open()))
+    errors = {r["method"]: float(r["rel_mse"]) for r in rows if r["layer"] == "Combined"}
+    assert {f"built-in without {what}" for what in evaluate.LEFT_OUT} <= set(errors)
+    assert errors["built-in without light passes"] == errors["built-in, Combined alone"]
+    assert errors["built-in without light passes and guides"] != errors["built-in, Combined alone"]
+
+
 def test_peer_per_pass(data: Path) -> None:
     pytest.importorskip("pyoidn")
     (pair,) = pairs.stored_pairs(data, "val", [4])
