@@ -219,20 +219,12 @@ uint32_t ql_net_reach(const ql_net *net)
 
 /* ---- The body ----------------------------------------------------------------------------------------------------- */
 
-/* Replaces *map by conv(*map), of the given size. */
-static quell_status step(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, ql_map *map, uint32_t width,
-                         uint32_t height, int keep, ql_map *out, int32_t relu, ql_error *err)
+/* The next coarser map, made by a convolution with stride 2. */
+static quell_status go_down(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, const ql_map *from, ql_map *to,
+                            ql_error *err)
 {
-    ql_map next;
-    QL_TRY(ql_map_create(&next, width, height, conv->num_out, env->memory, err));
-    const quell_status status = ql_conv_apply(conv, kernels, env, map, &next, relu);
-    if (status != QUELL_OK) {
-        ql_map_destroy(&next, env->memory);
-        return status;
-    }
-    if (!keep) ql_map_destroy(map, env->memory);
-    *out = next;
-    return QUELL_OK;
+    QL_TRY(ql_map_create(to, from->width / 2, from->height / 2, conv->num_out, env->memory, err));
+    return ql_conv_apply(conv, kernels, env, from, to, 1);
 }
 
 /* ---- The embedding ------------------------------------------------------------------------------------------------ */
@@ -326,18 +318,13 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
     QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, maps, err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
-            QL_TRY(step(&net->encoder[l][i], kernels, env, &m[l], m[l].width, m[l].height, 0, &m[l], 1, err));
-        if (l + 1 < QL_NET_LEVELS)
-            QL_TRY(step(&net->down[l], kernels, env, &m[l], m[l].width / 2, m[l].height / 2, 1, &m[l + 1], 1, err));
+            QL_TRY(ql_conv_relu_in_place(&net->encoder[l][i], kernels, env, &m[l], err));
+        if (l + 1 < QL_NET_LEVELS) QL_TRY(go_down(&net->down[l], kernels, env, &m[l], &m[l + 1], err));
     }
     for (uint32_t l = QL_NET_LEVELS - 1; l-- > 0;) {
-        ql_map coarse;
-        QL_TRY(step(&net->up[l], kernels, env, &m[l + 1], m[l + 1].width, m[l + 1].height, 1, &coarse, 0, err));
-        const quell_status status = ql_upsample_add_relu(env, &coarse, &m[l]);
-        ql_map_destroy(&coarse, env->memory);
-        QL_TRY(status);
+        QL_TRY(ql_conv_upsample_add_relu(&net->up[l], kernels, env, &m[l + 1], &m[l], err));
         for (uint32_t i = 0; i < net->up_convs[l]; ++i)
-            QL_TRY(step(&net->decoder[l][i], kernels, env, &m[l], m[l].width, m[l].height, 0, &m[l], 1, err));
+            QL_TRY(ql_conv_relu_in_place(&net->decoder[l][i], kernels, env, &m[l], err));
     }
     return embed(net, kernels, env, maps, err);
 }

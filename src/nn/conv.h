@@ -44,7 +44,14 @@ void ql_conv_apply_row(const ql_conv *conv, const ql_kernels *kernels, const ql_
 quell_status ql_conv_apply(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, const ql_map *in, ql_map *out,
                            int32_t relu);
 
-/* map = max(0, map + coarse of twice the pixel size). */
-quell_status ql_upsample_add_relu(ql_env *env, const ql_map *coarse, ql_map *map);
+/* map = max(0, conv(map)) for a 3x3 convolution of as many channels out as in, without a second map. */
+quell_status ql_conv_relu_in_place(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, ql_map *map,
+                                   ql_error *err);
+/* What that needs beside the map. */
+uint64_t ql_conv_in_place_bytes(uint32_t width, uint32_t height, uint32_t channels, uint32_t num_workers);
+
+/* map = max(0, map + conv(coarse)), conv: 1x1, coarse of twice the pixel size. */
+quell_status ql_conv_upsample_add_relu(const ql_conv *conv, const ql_kernels *kernels, ql_env *env,
+                                       const ql_map *coarse, ql_map *map, ql_error *err);
 
 #endif
