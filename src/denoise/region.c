@@ -9,6 +9,7 @@
 #include "filter/pyramid.h"
 #include "frame/roles.h"
 #include "models/quell_stem.h"
+#include "models/quell_window.h"
 
 #include <math.h>
 #include <string.h>
@@ -45,7 +46,7 @@ typedef struct member {
 typedef struct batch {
     ql_job *job;
     const ql_region *region;
-    const ql_net_maps *maps;
+    const ql_net_window *window;
     const ql_plan_set *set;
     int32_t group, set_index;
     int32_t is_indirect; /* of a group of light: which of its two passes has its turn */
@@ -250,8 +251,8 @@ static void set_levels(batch *b)
 {
     const uint32_t group = net_group(b);
     for (uint32_t l = 0; l < QL_PYRAMID_LEVELS; ++l) {
-        const ql_planes *const embedding = &b->maps->embedding[l];
-        const ql_planes *const pooled = l + 1 < QL_PYRAMID_LEVELS ? &b->maps->pooled[l] : embedding;
+        const ql_planes *const embedding = &b->window->embedding[l];
+        const ql_planes *const pooled = l + 1 < QL_PYRAMID_LEVELS ? &b->window->pooled[l] : embedding;
         b->levels[l] = (ql_pyramid_level){
             .embedding = ql_planes_row(embedding, 0, 0),
             .pooled = ql_planes_row(pooled, 0, 0),
@@ -278,31 +279,31 @@ static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_
     const uint32_t wide = part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
     const uint32_t head = is_narrow(b->group) ? QL_HEAD_NARROW : wide;
     const uint32_t group = is_narrow(b->group) ? narrow_index(b) : net_group(b);
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->maps, group, head, x, y, num,
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->window, group, head, x, y, num,
                        worker_scratch(b, worker), out);
 }
 
 static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker, float *out)
 {
     const batch *const b = user;
-    ql_net_coarse_logits(b->job->net, b->job->kernels, b->maps, net_group(b), level, y,
+    ql_net_coarse_logits(b->job->net, b->job->kernels, b->window, net_group(b), level, y,
                          worker_scratch(b, worker), out);
 }
 
-/* One row of the colour that the group's light was divided by. */
-static void read_color(const batch *b, uint32_t y, float *const *rows)
+/* Pixels x0 <= x < x1 of one row of the colour that the group's light was divided by. */
+static void read_color(const batch *b, uint32_t x0, uint32_t x1, uint32_t y, float *const *rows)
 {
     const int32_t index = b->set->role_layer[b->color_role];
     const ql_layer *const layer = &b->job->frame->layers[index];
     const uint32_t colors = layer->num_channels < MAX_COLORS ? layer->num_channels : MAX_COLORS;
-    ql_read_fixed_row(layer, &b->job->scans[index], b->job->frame->width, y, colors, rows, NULL);
-    for (uint32_t c = colors; c < MAX_COLORS; ++c) memcpy(rows[c], rows[0], b->job->frame->width * sizeof *rows[c]);
+    ql_read_fixed_span(layer, &b->job->scans[index], x0, x1, y, colors, rows, NULL);
+    for (uint32_t c = colors; c < MAX_COLORS; ++c) memcpy(rows[c] + x0, rows[0] + x0, (x1 - x0) * sizeof *rows[c]);
 }
 
 /* weight[x] *= c / (c + epsilon), c the mean colour that the light was divided by. */
 static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
 {
-    read_color(b, y, rows);
+    read_color(b, b->region->rx, b->region->rx + num, y, rows);
     for (uint32_t x = 0; x < num; ++x) {
         float sum = 0.0f;
         for (uint32_t c = 0; c < MAX_COLORS; ++c) sum += rows[c][b->region->rx + x];
@@ -312,23 +313,22 @@ static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float
 }
 
 /* Albedo as radiance is divided by it: never zero; where it is no number, radiance stays as it is. */
-static void make_divisor(float *const *rows, const float *valid, uint32_t width)
+static void make_divisor(float *const *rows, const float *valid, uint32_t x0, uint32_t x1)
 {
     for (uint32_t c = 0; c < MAX_COLORS; ++c)
-        for (uint32_t x = 0; x < width; ++x) {
+        for (uint32_t x = x0; x < x1; ++x) {
             const float a = rows[c][x] < 1.0f ? rows[c][x] : 1.0f;
             rows[c][x] = valid[x] > 0.0f ? (a > 0.0f ? a : 0.0f) + ALBEDO_EPSILON : 1.0f;
         }
 }
 
-/* The region's noisy albedo as a divisor. rows: three for it, one for its validity. */
-static void read_divisor(const batch *b, uint32_t y, float *const *rows)
+/* Pixels x0 <= x < x1 of the noisy albedo as a divisor. rows: three for it, one for its validity. */
+static void read_divisor(const batch *b, uint32_t x0, uint32_t x1, uint32_t y, float *const *rows)
 {
     const int32_t index = b->set->role_layer[QUELL_ROLE_DENOISING_ALBEDO];
-    const uint32_t width = b->job->frame->width;
-    ql_read_fixed_row(&b->job->frame->layers[index], &b->job->scans[index], width, y, MAX_COLORS, rows,
-                      rows[MAX_COLORS]);
-    make_divisor(rows, rows[MAX_COLORS], width);
+    ql_read_fixed_span(&b->job->frame->layers[index], &b->job->scans[index], x0, x1, y, MAX_COLORS, rows,
+                       rows[MAX_COLORS]);
+    make_divisor(rows, rows[MAX_COLORS], x0, x1);
 }
 
 static void give_values(void *user, uint32_t region_y, const float *importance, uint32_t worker, float *const *planes)
@@ -349,14 +349,15 @@ static void give_values(void *user, uint32_t region_y, const float *importance, 
     if (b->color_role != QUELL_ROLE_OTHER) weigh_by_color(b, y, rows, weight, num);
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
+        const uint32_t first = region->rx, end = region->rx + num;
         if (m->is_divisor) {
-            read_divisor(b, y, rows);
-            for (uint32_t x = 0; x < frame->width; ++x) valid[x] = 1.0f;
+            read_divisor(b, first, end, y, rows);
+            for (uint32_t x = first; x < end; ++x) valid[x] = 1.0f;
         } else {
-            ql_read_fixed_row(m->source, m->scan, frame->width, y, m->num_channels, rows, valid);
+            ql_read_fixed_span(m->source, m->scan, first, end, y, m->num_channels, rows, valid);
         }
         float *const *const divisor = rows + DIVISOR_ROW;
-        if (m->is_divided) read_divisor(b, y, divisor);
+        if (m->is_divided) read_divisor(b, first, end, y, divisor);
         float *const w = planes[m->weight_plane];
         for (uint32_t x = 0; x < num; ++x) w[x] = weight[x] * valid[region->rx + x];
         for (uint32_t c = 0; c < m->num_channels; ++c) {
@@ -421,11 +422,11 @@ static void restore_task(void *user, uint32_t task, uint32_t worker)
     float *rows[MAX_COLORS + 4];
     for (uint32_t i = 0; i < MAX_COLORS + 4; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * width;
     float *const *const color = rows, *const *const value = rows + MAX_COLORS;
-    if (has_color) read_color(b, y, color);
+    if (has_color) read_color(b, region->x0, region->x1, y, color);
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
         if (!has_color && m->num_channels < 4) continue;
-        ql_read_fixed_row(m->source, m->scan, width, y, m->num_channels, (float *const *)value, NULL);
+        ql_read_fixed_span(m->source, m->scan, region->x0, region->x1, y, m->num_channels, (float *const *)value, NULL);
         float *const *const empty = has_color ? color : (float *const *)value;
         for (uint32_t c = 0; c < m->num_channels; ++c) {
             float *const out = result_row(m, c, y); /* of the whole image */
@@ -482,7 +483,7 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
         member m = {.layer = (int32_t)*next};
         m.source = &b->job->frame->layers[layer->source];
         m.scan = &b->job->scans[layer->source];
-        m.result = b->job->results[*next];
+        m.result = b->job->results ? b->job->results[*next] : NULL; /* none yet where it is only planned */
         m.stride = b->job->frame->width;
         m.plane = m.stride * b->job->frame->height;
         m.is_divided = b->divisor != NULL && is_lit_albedo(b->job->frame->layers[*next].role);
@@ -560,12 +561,12 @@ static quell_status filter_albedo(batch *b, ql_env *env, ql_error *err)
 }
 
 static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, const ql_region *region,
-                                const ql_net_maps *maps, ql_error *err)
+                                const ql_net_window *window, ql_error *err)
 {
     static const int32_t order[QL_NUM_GROUPS] = {QL_GROUP_COLOR,  QL_GROUP_EMISSION,     QL_GROUP_DIFFUSE,
                                                  QL_GROUP_GLOSSY, QL_GROUP_TRANSMISSION, QL_GROUP_VOLUME,
                                                  QL_GROUP_BEAUTY};
-    batch b = {.job = job, .region = region, .maps = maps, .set = &job->plan->sets[set_index]};
+    batch b = {.job = job, .region = region, .window = window, .set = &job->plan->sets[set_index]};
     b.set_index = (int32_t)set_index;
     b.scratch_floats = batch_scratch_floats(job->frame->width);
     b.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), b.scratch_floats * sizeof *b.scratch);
@@ -592,35 +593,98 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
     return status;
 }
 
+/* The columns x0 <= x < x1 of a region, with what their filters reach. */
+static ql_region strip_of(const ql_region *region, uint32_t x0, uint32_t x1)
+{
+    const uint32_t right = region->rx + region->width;
+    const uint32_t end = (x1 + QL_PYRAMID_REACH + QL_NET_ALIGNMENT - 1) / QL_NET_ALIGNMENT * QL_NET_ALIGNMENT;
+    ql_region strip = *region;
+    strip.x0 = x0;
+    strip.x1 = x1;
+    if (x0 > region->rx + QL_PYRAMID_REACH) strip.rx = x0 - QL_PYRAMID_REACH;
+    strip.width = (end < right ? end : right) - strip.rx;
+    return strip;
+}
+
+static quell_status run_strip(ql_job *job, ql_env *env, uint32_t set, const ql_region *region, const ql_net_maps *maps,
+                              const ql_region *strip, ql_error *err)
+{
+    ql_net_window window;
+    quell_status status = ql_net_window_open(job->net, job->kernels, env, maps, strip->rx - region->rx, strip->width,
+                                             &window, err);
+    if (status == QUELL_OK) status = run_filters(job, env, set, strip, &window, err);
+    ql_net_window_close(&window, env->memory);
+    return status;
+}
+
 quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feature_setup *setup,
                            const ql_region *region, ql_error *err)
 {
     ql_net_maps maps = {0}; /* so that it can be freed whatever fails */
-    const double from = env->progress_from, to = env->progress_to;
-    env->progress_to = from + 0.6 * (to - from);
+    const double from = env->progress_from, to = env->progress_to, middle = from + 0.6 * (to - from);
+    env->progress_to = middle;
     quell_status status = run_network(job, env, &job->plan->sets[set], setup, region, &maps, err);
-    env->progress_from = env->progress_to;
-    env->progress_to = to;
     const double start = ql_clock_seconds(), recombined = job->seconds_recombine;
-    if (status == QUELL_OK) status = run_filters(job, env, set, region, &maps, err);
+    const uint32_t num_strips = (region->x1 - region->x0 + job->strip_width - 1) / job->strip_width;
+    for (uint32_t i = 0; i < num_strips && status == QUELL_OK; ++i) {
+        const uint32_t x0 = region->x0 + i * job->strip_width, left = region->x1 - x0;
+        const ql_region strip = strip_of(region, x0, x0 + (left < job->strip_width ? left : job->strip_width));
+        env->progress_from = middle + (to - middle) * i / num_strips;
+        env->progress_to = middle + (to - middle) * (i + 1) / num_strips;
+        status = run_strip(job, env, set, region, &maps, &strip, err);
+    }
     env->progress_from = from;
+    env->progress_to = to;
     ql_net_maps_destroy(&maps, env->memory);
     job->seconds_filter += ql_clock_seconds() - start - (job->seconds_recombine - recombined);
     return status;
 }
 
-uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t image_width, uint32_t width,
-                              uint32_t height, uint32_t num_workers)
+/* Of the widest batch of any set. */
+static uint64_t batch_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t num_workers)
 {
+    uint64_t most = 0;
+    ql_job planned = *job;
+    planned.results = NULL;
+    for (uint32_t s = 0; s < job->plan->num_sets; ++s)
+        for (uint32_t i = 0; i < 4 * QL_NUM_GROUPS; ++i) {
+            batch b = {.job = &planned, .set = &job->plan->sets[s], .set_index = (int32_t)s, .group = (int32_t)(i / 4)};
+            b.is_indirect = i % 2;
+            for (uint32_t next = 0; next < job->plan->num_layers;) {
+                fill_batch(&b, &next, i / 2 % 2);
+                if (b.num_members == 0) continue;
+                const uint64_t bytes =
+                    is_narrow(b.group)
+                        ? ql_narrow_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers)
+                        : ql_pyramid_peak_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers);
+                if (bytes > most) most = bytes;
+            }
+        }
+    return most;
+}
+
+/* Of the filtered albedo. */
+static uint64_t divisor_bytes(const ql_job *job, uint32_t width, uint32_t height)
+{
+    for (uint32_t s = 0; s < job->plan->num_sets; ++s)
+        if (ql_region_divides(job->frame, job->plan, s)) return MAX_COLORS * sizeof(float) * (uint64_t)width * height;
+    return 0;
+}
+
+uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t strip_width,
+                              uint32_t num_workers)
+{
+    const uint32_t image_width = job->frame->width;
     const uint64_t features =
         num_workers * sizeof(float) * feature_scratch_floats(image_width) + ql_net_stem_bytes(width, num_workers);
-    const uint64_t network = ql_net_peak_bytes(net, width, height) + features;
-    /* Maps stay while the filters run; the widest batch has QL_PYRAMID_MAX_PLANES planes, most have seven. */
-    uint32_t planes = plan->num_denoised * 3 + 2;
-    if (planes > QL_PYRAMID_MAX_PLANES) planes = QL_PYRAMID_MAX_PLANES;
-    const uint64_t filters = ql_net_maps_bytes(net, width, height) +
-                             ql_pyramid_peak_bytes(width, height, planes, QL_NET_DIMS, num_workers) +
-                             MAX_COLORS * sizeof(float) * width * (uint64_t)height + /* the filtered albedo */
+    const uint64_t network = ql_net_peak_bytes(job->net, width, height, num_workers) + features;
+    const uint64_t wide = strip_width + 2 * (uint64_t)QL_PYRAMID_REACH;
+    const uint32_t columns = wide < width ? (uint32_t)wide : width;
+    /* Maps stay while the filters run. */
+    const uint64_t filters = ql_net_maps_bytes(job->net, width, height) +
+                             ql_net_window_bytes(columns, height, num_workers) +
+                             batch_bytes(job, columns, height, num_workers) +
+                             divisor_bytes(job, columns, height) +
                              num_workers * sizeof(float) * batch_scratch_floats(image_width);
     return network > filters ? network : filters;
 }

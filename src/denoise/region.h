@@ -17,6 +17,7 @@ typedef struct ql_job {
     const ql_frame *frame;
     const ql_plan *plan;
     const ql_scan *scans; /* [num_layers]; empty for layers that nothing reads */
+    uint32_t strip_width; /* most columns that are filtered at a time; a multiple of 32 */
     float **results;      /* [num_layers], [channels][height][width] each; NULL for layers that are not filtered */
     /* Wall clock, summed up by ql_region_run. Features are made inside the network's tasks: theirs is the workers' mean. */
     double seconds_features, seconds_network, seconds_filter, seconds_recombine;
@@ -35,9 +36,10 @@ quell_status ql_region_run(ql_job *job, ql_env *env, uint32_t set, const ql_feat
 /* Whether layers of a set are divided by the albedo while they are filtered: Combined that is no sum, light groups. */
 int ql_region_divides(const ql_frame *frame, const ql_plan *plan, uint32_t set);
 
-/* Working memory of ql_region_run, in bytes, as an upper bound. */
-uint64_t ql_region_peak_bytes(const ql_net *net, const ql_plan *plan, uint32_t image_width, uint32_t width,
-                              uint32_t height, uint32_t num_workers);
+/* Working memory of ql_region_run for a region of that size, in bytes, as an upper bound. strip_width: as in ql_job, whose
+ * own is not read; nor are its results. */
+uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t strip_width,
+                              uint32_t num_workers);
 
 /* Pixels round a tile that its results are made from; a multiple of 16. */
 uint32_t ql_region_halo(const ql_net *net);

@@ -88,3 +88,10 @@ quell_status ql_narrow_run(const ql_kernels *kernels, ql_env *env, uint32_t widt
     ql_free(env->memory, n.scratch);
     return status;
 }
+
+uint64_t ql_narrow_bytes(uint32_t width, uint32_t height, uint32_t num_planes, uint32_t num_dims, uint32_t num_workers)
+{
+    narrow n = {.num_planes = num_planes, .width = width, .height = height};
+    set_sizes(&n, num_dims);
+    return ((uint64_t)num_planes * n.plane_floats + (uint64_t)num_workers * n.scratch_floats) * sizeof(float);
+}

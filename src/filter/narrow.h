@@ -11,5 +11,6 @@ enum { QL_NARROW_REACH = 16 /* 2, rounded up to what regions are aligned to */ }
  * level 0 is used. Sizes and planes as in ql_pyramid_run. */
 quell_status ql_narrow_run(const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height, uint32_t num_planes,
                            const ql_pyramid_source *source, ql_error *err);
+uint64_t ql_narrow_bytes(uint32_t width, uint32_t height, uint32_t num_planes, uint32_t num_dims, uint32_t num_workers);
 
 #endif

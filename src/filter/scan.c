@@ -247,17 +247,26 @@ void ql_scan_free(ql_scan *scan, ql_memory *memory)
     memset(scan, 0, sizeof *scan);
 }
 
-void ql_read_fixed_row(const ql_layer *layer, const ql_scan *scan, uint32_t width, uint32_t y, uint32_t num_colors,
-                       float *const *rows, float *valid)
+void ql_read_fixed_span(const ql_layer *layer, const ql_scan *scan, uint32_t x0, uint32_t x1, uint32_t y,
+                        uint32_t num_colors, float *const *rows, float *valid)
 {
-    for (uint32_t c = 0; c < num_colors; ++c) ql_layer_read_row(layer, width, c, y, rows[c]);
+    ql_view view = layer->pixels;
+    view.data += (int64_t)x0 * view.pixel_stride;
+    for (uint32_t c = 0; c < num_colors; ++c) ql_view_read_row(&view, x1 - x0, c, y, rows[c] + x0);
     if (valid)
-        for (uint32_t x = 0; x < width; ++x) valid[x] = 1.0f;
+        for (uint32_t x = x0; x < x1; ++x) valid[x] = 1.0f;
     if (scan->row_start == NULL) return;
     for (uint64_t i = scan->row_start[y]; i < scan->row_start[y + 1]; ++i) {
         const ql_fix *const fix = &scan->fixes[i];
+        if (fix->x < x0 || fix->x >= x1) continue;
         for (uint32_t c = 0; c < num_colors; ++c)
             rows[c][fix->x] = fix->scale > 0.0f ? rows[c][fix->x] * fix->scale : 0.0f;
         if (valid && fix->scale <= 0.0f) valid[fix->x] = 0.0f;
     }
+}
+
+void ql_read_fixed_row(const ql_layer *layer, const ql_scan *scan, uint32_t width, uint32_t y, uint32_t num_colors,
+                       float *const *rows, float *valid)
+{
+    ql_read_fixed_span(layer, scan, 0, width, y, num_colors, rows, valid);
 }

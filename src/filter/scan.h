@@ -42,5 +42,8 @@ void ql_scan_free(ql_scan *scan, ql_memory *memory);
 /* Reads one row of the colour channels with the fixes applied; valid, if not NULL, receives 0 or 1 per pixel. */
 void ql_read_fixed_row(const ql_layer *layer, const ql_scan *scan, uint32_t width, uint32_t y, uint32_t num_colors,
                        float *const *rows, float *valid);
+/* Of that row the pixels x0 <= x < x1 alone, which go to the same places in rows and valid. */
+void ql_read_fixed_span(const ql_layer *layer, const ql_scan *scan, uint32_t x0, uint32_t x1, uint32_t y,
+                        uint32_t num_colors, float *const *rows, float *valid);
 
 #endif

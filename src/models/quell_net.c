@@ -3,6 +3,7 @@
 #include "models/quell_net.h"
 
 #include "models/quell_stem.h"
+#include "models/quell_window.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -227,94 +228,13 @@ static quell_status go_down(const ql_conv *conv, const ql_kernels *kernels, ql_e
     return ql_conv_apply(conv, kernels, env, from, to, 1);
 }
 
-/* ---- The embedding ------------------------------------------------------------------------------------------------ */
-
-typedef struct embed_job {
-    const ql_conv *conv;
-    const ql_kernels *kernels;
-    const ql_map *map;
-    const ql_planes *below; /* pooled level below, which this one starts from; NULL at full resolution */
-    const ql_planes *out, *pooled; /* pooled: NULL at the coarsest level */
-    float *scratch;                /* [workers][2 QL_HEAD_BUFFER] */
-} embed_job;
-
-/* Adds the head's share to row y of the embedding, at full resolution to the two rows of row y of the map. */
-static void add_head(const embed_job *job, uint32_t y, float *buffer)
-{
-    const ql_planes *const out = job->out;
-    const uint32_t group = job->below ? 1 : 2;
-    float *const planes = buffer + QL_HEAD_BUFFER;
-    for (uint32_t x = 0; x < job->map->width; x += QL_HEAD_SPAN) {
-        const uint32_t num = job->map->width - x < QL_HEAD_SPAN ? job->map->width - x : QL_HEAD_SPAN;
-        ql_conv_apply_row(job->conv, job->kernels, job->map, x, y, num, 0, buffer);
-        for (uint32_t dy = 0; dy < group; ++dy) {
-            job->kernels->planes_row(buffer + (size_t)dy * QL_NET_DIMS * group, job->conv->num_out, QL_NET_DIMS, group,
-                                     planes, (size_t)num * group, num);
-            for (uint32_t e = 0; e < QL_NET_DIMS; ++e) {
-                float *const to = ql_planes_row(out, e, y * group + dy) + (size_t)x * group;
-                const float *const from = planes + (size_t)e * num * group;
-                for (size_t i = 0; i < (size_t)num * group; ++i) to[i] += from[i];
-            }
-        }
-    }
-}
-
-/* Two rows of the embedding, and the row of their means: what upsampling and the next level start from. */
-static void embed_task(void *user, uint32_t task, uint32_t worker)
-{
-    const embed_job *const job = user;
-    const ql_planes *const out = job->out;
-    float *const buffer = job->scratch + (size_t)worker * 2 * QL_HEAD_BUFFER;
-    if (job->below == NULL) {
-        add_head(job, task, buffer);
-    } else {
-        for (uint32_t y = 2 * task; y < 2 * task + 2 && y < out->height; ++y) {
-            for (uint32_t e = 0; e < QL_NET_DIMS; ++e)
-                memcpy(ql_planes_row(out, e, y), ql_planes_row(job->below, e, y), out->width * sizeof(float));
-            add_head(job, y, buffer);
-        }
-    }
-    if (job->pooled == NULL) return;
-    for (uint32_t e = 0; e < QL_NET_DIMS; ++e) {
-        const float *const upper = ql_planes_row(out, e, 2 * task), *const lower = upper + out->stride;
-        float *const mean = ql_planes_row(job->pooled, e, task);
-        for (size_t x = 0; x < job->pooled->width; ++x)
-            mean[x] = 0.25f * (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1]);
-    }
-}
-
-static quell_status embed(const ql_net *net, const ql_kernels *kernels, ql_env *env, ql_net_maps *maps, ql_error *err)
-{
-    float *const scratch =
-        ql_alloc(env->memory, ql_pool_num_threads(env->pool), 2 * QL_HEAD_BUFFER * sizeof *scratch);
-    quell_status status = QUELL_OK;
-    if (scratch == NULL) status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of the embedding");
-    for (uint32_t l = 0; l <= QL_NET_LEVELS && status == QUELL_OK; ++l) {
-        const ql_map *const map = &maps->level[l > 0 ? l - 1 : 0];
-        const int last = l == QL_NET_LEVELS;
-        if (l > 0)
-            status = ql_planes_create(&maps->embedding[l], map->width, map->height, QL_NET_DIMS, QL_NET_MARGIN,
-                                      env->memory, err);
-        if (status == QUELL_OK && !last)
-            status = ql_planes_create(&maps->pooled[l], maps->embedding[l].width / 2, maps->embedding[l].height / 2,
-                                      QL_NET_DIMS, QL_NET_MARGIN, env->memory, err);
-        embed_job job = {&net->embedding[l],          kernels,
-                         map,                         l > 0 ? &maps->pooled[l - 1] : NULL,
-                         &maps->embedding[l],         last ? NULL : &maps->pooled[l],
-                         scratch};
-        if (status == QUELL_OK) status = ql_env_run(env, (maps->embedding[l].height + 1) / 2, embed_task, &job);
-    }
-    ql_free(env->memory, scratch);
-    return status;
-}
-
 quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
                         const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
 {
     memset(maps, 0, sizeof *maps);
     ql_map *const m = maps->level;
     QL_TRY(ql_map_create(&m[0], width / 2, height / 2, net->widths[0], env->memory, err));
-    QL_TRY(ql_planes_create(&maps->embedding[0], width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
+    QL_TRY(ql_planes_create(&maps->embedding, width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
     QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, maps, err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
@@ -326,67 +246,53 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
         for (uint32_t i = 0; i < net->up_convs[l]; ++i)
             QL_TRY(ql_conv_relu_in_place(&net->decoder[l][i], kernels, env, &m[l], err));
     }
-    return embed(net, kernels, env, maps, err);
+    return ql_net_embed(net, kernels, env, maps, err);
 }
 
 void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory)
 {
-    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
-        ql_planes_destroy(&maps->embedding[l], memory);
-        if (l == QL_NET_LEVELS) break;
-        ql_map_destroy(&maps->level[l], memory);
-        ql_planes_destroy(&maps->pooled[l], memory);
-    }
-}
-
-static uint64_t planes_bytes(uint32_t width, uint32_t height)
-{
-    uint64_t bytes = 0;
-    for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
-        bytes += (l == 0 ? 1u : 2u) * (uint64_t)ql_planes_bytes(width >> l, height >> l, QL_NET_DIMS, QL_NET_MARGIN);
-    return bytes;
+    ql_planes_destroy(&maps->embedding, memory);
+    for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_map_destroy(&maps->level[l], memory);
 }
 
 uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height)
 {
-    uint64_t bytes = planes_bytes(width, height);
+    uint64_t bytes = ql_planes_bytes(width, height, QL_NET_DIMS, QL_NET_MARGIN);
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l)
         bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
     return bytes;
 }
 
-uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height)
+uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height, uint32_t num_workers)
 {
-    /* Beside what stays: a second map of the finest level and the coarse map of an upsampling, before there are planes
-     * of any but the finest embedding. */
-    return ql_net_maps_bytes(net, width, height) + ql_map_bytes(width / 2, height / 2, net->widths[0]) +
-           ql_map_bytes(width / 4, height / 4, net->widths[0]);
+    /* Beside what stays: the rows that convolutions in place keep; upsampling needs less. */
+    return ql_net_maps_bytes(net, width, height) +
+           ql_conv_in_place_bytes(width / 2, height / 2, net->widths[0], num_workers);
 }
 
 /* ---- The heads ---------------------------------------------------------------------------------------------------- */
 
-void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
+void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_window *window, uint32_t group,
                         uint32_t head, uint32_t x, uint32_t y, uint32_t num, float *buffer, float *out)
 {
     const ql_conv *const conv = head == QL_HEAD_DOWN ? &net->head_down[group]
                                 : head == QL_HEAD_UP ? &net->head_up[group]
                                                      : &net->head_narrow[group];
     const uint32_t planes = ql_head_planes(head);
-    ql_conv_apply_row(conv, kernels, &maps->level[0], x, y, num, 0, buffer);
+    ql_conv_apply_row(conv, kernels, &window->maps->level[0], window->x / 2 + x, y, num, 0, buffer);
     for (size_t dy = 0; dy < 2; ++dy)
         kernels->planes_row(buffer + dy * planes * 2, conv->num_out, planes, 2, out + dy * planes * 2 * num, 2 * num,
                             num);
 }
 
-void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
+void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_window *window, uint32_t group,
                           uint32_t level, uint32_t y, float *buffer, float *out)
 {
     const ql_conv *const conv = &net->head[group][level - 1];
-    const ql_map *const map = &maps->level[level - 1];
-    const uint32_t planes = ql_coarse_planes(level);
-    for (uint32_t x = 0; x < map->width; x += QL_HEAD_SPAN) {
-        const uint32_t num = map->width - x < QL_HEAD_SPAN ? map->width - x : QL_HEAD_SPAN;
-        ql_conv_apply_row(conv, kernels, map, x, y, num, 0, buffer);
-        kernels->planes_row(buffer, conv->num_out, planes, 1, out + x, map->width, num);
+    const uint32_t planes = ql_coarse_planes(level), first = window->x >> level, width = window->width >> level;
+    for (uint32_t x = 0; x < width; x += QL_HEAD_SPAN) {
+        const uint32_t num = width - x < QL_HEAD_SPAN ? width - x : QL_HEAD_SPAN;
+        ql_conv_apply_row(conv, kernels, &window->maps->level[level - 1], first + x, y, num, 0, buffer);
+        kernels->planes_row(buffer, conv->num_out, planes, 1, out + x, width, num);
     }
 }

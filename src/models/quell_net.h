@@ -60,30 +60,38 @@ uint32_t ql_net_reach(const ql_net *net);
 /* Fills out[num_pixels][QL_NUM_FEATURES] for row y of the region, pixels from x = 0; zeros outside the image. */
 typedef void ql_feature_source_fn(void *user, uint32_t y, uint32_t worker, float *out);
 
-/* Features of each level, for the heads, and the embedding that all kernels share. */
+/* Features of each level, for the heads, and the finest level of the embedding that all kernels share. */
 typedef struct ql_net_maps {
     ql_map level[QL_NET_LEVELS];
-    ql_planes embedding[QL_NET_LEVELS + 1]; /* full resolution first */
-    ql_planes pooled[QL_NET_LEVELS];        /* means over 2x2 of embedding[l], at the size of level l + 1 */
+    ql_planes embedding; /* full resolution */
 } ql_net_maps;
+
+/* Columns of the maps, which filters work on one after the other: the coarser levels of the embedding are there for these
+ * alone. x and width are multiples of QL_NET_ALIGNMENT. */
+typedef struct ql_net_window {
+    const ql_net_maps *maps;
+    uint32_t x, width;
+    ql_planes embedding[QL_NET_LEVELS + 1]; /* full resolution first, which lies in the maps */
+    ql_planes pooled[QL_NET_LEVELS];        /* means over 2x2 of embedding[l], at the size of level l + 1 */
+} ql_net_window;
 
 /* Runs the body on a region. flags: QL_NUM_FLAGS constants. maps is freed by ql_net_maps_destroy in any case. */
 quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
                         const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err);
 void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory);
 uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height);
-uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height);
+uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height, uint32_t num_workers);
 
-/* Full-resolution logits of fine rows 2y and 2y + 1, fine pixels 2x .. 2x + 2 num - 1, num at most QL_HEAD_SPAN.
+/* Full-resolution logits of the window's fine rows 2y and 2y + 1, fine pixels 2x .. 2x + 2 num - 1, num at most QL_HEAD_SPAN.
  * out: [2 rows][planes][2 num]. buffer: QL_HEAD_BUFFER floats. */
 enum { QL_HEAD_SPAN = 64, QL_HEAD_BUFFER = QL_HEAD_SPAN * 64 };
-void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
+void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_window *window, uint32_t group,
                         uint32_t head, uint32_t x, uint32_t y, uint32_t num, float *buffer, float *out);
 uint32_t ql_head_planes(uint32_t head);
 uint32_t ql_coarse_planes(uint32_t level);
 
-/* One row of level 1 to 4 (1/2 .. 1/16): out [ql_coarse_planes][width]. */
-void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_maps *maps, uint32_t group,
+/* One row of level 1 to 4 (1/2 .. 1/16): out [ql_coarse_planes][window's width at that level]. */
+void ql_net_coarse_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_window *window, uint32_t group,
                           uint32_t level, uint32_t y, float *buffer, float *out);
 
 #endif

@@ -92,7 +92,7 @@ static void stem_row(const stem_job *job, const float *features, uint32_t y)
 /* A row of the embedding: to its planes, or added to what is there. conv has its rows set for pixel 0. */
 static void embedding_row(const stem_job *job, ql_conv_row conv, int adds, uint32_t y, float *buffer)
 {
-    const ql_planes *const out = &job->maps->embedding[0];
+    const ql_planes *const out = &job->maps->embedding;
     float *const planes = buffer + SPAN * QL_BLOCK;
     conv.out = buffer;
     for (uint32_t x = 0; x < job->width; x += SPAN) {
@@ -182,8 +182,8 @@ quell_status ql_net_stem(const ql_net *net, const ql_kernels *kernels, ql_env *e
                          ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
 {
     stem_job job = {.net = net, .kernels = kernels, .source = source, .user = user, .maps = maps};
-    job.width = maps->embedding[0].width;
-    job.height = maps->embedding[0].height;
+    job.width = maps->embedding.width;
+    job.height = maps->embedding.height;
     job.scratch_floats = scratch_floats(job.width);
     float *const bias = ql_alloc(env->memory, net->widths[0], sizeof *bias);
     job.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), job.scratch_floats * sizeof *job.scratch);

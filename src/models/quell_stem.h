@@ -5,7 +5,7 @@
 
 #include "models/quell_net.h"
 
-/* Fills maps->level[0] with the stem's output and maps->embedding[0] with the guides' and details' share; both have their
+/* Fills maps->level[0] with the stem's output and maps->embedding with the guides' and details' share; both have their
  * sizes. flags, source, user: as in ql_net_run. */
 quell_status ql_net_stem(const ql_net *net, const ql_kernels *kernels, ql_env *env, const float *flags,
                          ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err);
