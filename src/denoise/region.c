@@ -279,15 +279,14 @@ static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_
     const uint32_t wide = part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
     const uint32_t head = is_narrow(b->group) ? QL_HEAD_NARROW : wide;
     const uint32_t group = is_narrow(b->group) ? narrow_index(b) : net_group(b);
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->window, group, head, x, y, num,
-                       worker_scratch(b, worker), out);
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->window, group, head, x, y, num, worker_scratch(b, worker), out);
 }
 
 static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker, float *out)
 {
     const batch *const b = user;
-    ql_net_coarse_logits(b->job->net, b->job->kernels, b->window, net_group(b), level, y,
-                         worker_scratch(b, worker), out);
+    ql_net_coarse_logits(b->job->net, b->job->kernels, b->window, net_group(b), level, y, worker_scratch(b, worker),
+                         out);
 }
 
 /* Pixels x0 <= x < x1 of one row of the colour that the group's light was divided by. */
@@ -610,8 +609,8 @@ static quell_status run_strip(ql_job *job, ql_env *env, uint32_t set, const ql_r
                               const ql_region *strip, ql_error *err)
 {
     ql_net_window window;
-    quell_status status = ql_net_window_open(job->net, job->kernels, env, maps, strip->rx - region->rx, strip->width,
-                                             &window, err);
+    quell_status status =
+        ql_net_window_open(job->net, job->kernels, env, maps, strip->rx - region->rx, strip->width, &window, err);
     if (status == QUELL_OK) status = run_filters(job, env, set, strip, &window, err);
     ql_net_window_close(&window, env->memory);
     return status;
@@ -654,9 +653,8 @@ static uint64_t batch_bytes(const ql_job *job, uint32_t width, uint32_t height, 
                 fill_batch(&b, &next, i / 2 % 2);
                 if (b.num_members == 0) continue;
                 const uint64_t bytes =
-                    is_narrow(b.group)
-                        ? ql_narrow_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers)
-                        : ql_pyramid_peak_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers);
+                    is_narrow(b.group) ? ql_narrow_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers)
+                                       : ql_pyramid_peak_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers);
                 if (bytes > most) most = bytes;
             }
         }

@@ -67,8 +67,7 @@ static quell_status alloc_scratch(ql_env *env, float **scratch, ql_error *err)
 
 quell_status ql_net_embed(const ql_net *net, const ql_kernels *kernels, ql_env *env, ql_net_maps *maps, ql_error *err)
 {
-    embed_job job = {
-        .conv = &net->embedding[0], .kernels = kernels, .map = &maps->level[0], .out = &maps->embedding};
+    embed_job job = {.conv = &net->embedding[0], .kernels = kernels, .map = &maps->level[0], .out = &maps->embedding};
     quell_status status = alloc_scratch(env, &job.scratch, err);
     if (status == QUELL_OK) status = ql_env_run(env, job.map->height, embed_task, &job);
     ql_free(env->memory, job.scratch);
