@@ -101,7 +101,8 @@ typedef struct quell_context_options {
     uint32_t num_threads;      /* 0: one per available core */
     int32_t cpu;               /* QUELL_CPU_*; one that the machine lacks is QUELL_ERR_UNSUPPORTED */
     uint32_t reserved0;        /* zero */
-    uint64_t max_memory_bytes; /* working memory of a denoise beyond the frame's own pixels; 0: no limit but 4 GiB */
+    uint64_t max_memory_bytes; /* limit of the working memory of a denoise beyond the frame's own pixels; 0: 4 GiB. It
+                                  takes some 128 MB and 128 bytes for each pixel, or less where that is the limit */
     uint64_t max_image_pixels; /* refuse larger images before anything is allocated; 0: 2^30 */
     quell_log_fn log;          /* NULL: silent */
     void *log_user;
