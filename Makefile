@@ -265,8 +265,9 @@ else ifeq ($(PLATFORM),darwin)
 SHARED_FLAGS := -Wl,-install_name,@rpath/$(SONAME) -Wl,-exported_symbol,_quell_*
 CLI_LINK := -L$(OUT)/lib -lquell -Wl,-rpath,@loader_path/../lib
 else
+# Parts of the C++ run-time library that nothing calls would ask for a newer glibc: sections without use are left out.
 SHARED_FLAGS := -Wl,-soname,$(SONAME) -Wl,--version-script=src/libquell.map -Wl,-z,defs -Wl,-z,relro -Wl,-z,now \
-	-Wl,-z,noexecstack
+	-Wl,-z,noexecstack -Wl,--gc-sections
 CLI_LINK := -L$(OUT)/lib -lquell -Wl,-rpath,'$$ORIGIN/../lib' -ldl
 endif
 
@@ -490,6 +491,12 @@ bench bench-peers bench-quick: deps-bench
 	$(Q)$(PYTHON) bench/peers.py --build $(OUT) $(if $(BENCH_OUT),--quick --results $(BENCH_OUT)/results) $(BENCH_FLAGS)
 	$(Q)$(PYTHON) bench/report.py $(if $(BENCH_OUT),--results $(BENCH_OUT)/results --out $(BENCH_OUT)/docs)
 
+## bench-blender: the add-on beside Cycles' own denoiser, in Blender: bench/results/blender_*.csv, docs/blender.md
+bench-blender: deps-bench deps-blender
+	$(Q)+$(SUBMAKE) addon $(VENV)/stamp-bench
+	$(Q)scripts/install_blenders.sh $(BUILD)/blender 4.5 5.0
+	$(Q)$(PYTHON) bench/blender.py --addon $(ADDON) $(BENCH_FLAGS)
+
 # A Python with what training needs (training/README.md) and the runs of training/dgan/runs.py.
 TRAINING_PYTHON ?= python3
 ## ablation: measure the parts of DGAN-KPN on the samples and write the tables of docs/ablation.md
@@ -574,6 +581,6 @@ help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
 .PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench bench-peers \
-	bench-quick deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
+	bench-quick bench-blender deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:
