@@ -38,7 +38,7 @@ def _default_group(scene: bpy.types.Scene) -> bpy.types.NodeTree:
 
 def has_denoise_node(scene: bpy.types.Scene) -> bool:
     tree = node_tree(scene, create=False)
-    return tree is not None and any(node.bl_idname == "CompositorNodeDenoise" for node in tree.nodes)
+    return tree is not None and any(node.bl_idname == "CompositorNodeDenoise" and not node.mute for node in tree.nodes)
 
 
 def use_result(scene: bpy.types.Scene, image: bpy.types.Image) -> int:

@@ -36,13 +36,13 @@ class QUELL_OT_denoise_files(job_operator.JobOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         if self.filepath or self.files:  # dropped
-            return self.start_modal(context)
+            return self.start(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Comes from the file browser, or from a script."""
-        return super().execute(context) if bpy.app.background else self.start_modal(context)
+        return self.start(context)
 
     def prepare(self, context: bpy.types.Context) -> Callable[[Callable[[float], bool]], Any]:
         folder = Path(bpy.path.abspath(self.directory))

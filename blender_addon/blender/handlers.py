@@ -25,6 +25,7 @@ from . import cycles_settings, engine_hook, exr_save, preferences, properties, s
 
 _journal = Journal()
 _frame = 0
+rendered_with = ""  # the engine of the render result; "" while nothing was rendered
 _started = 0.0
 _is_pending = False  # the frame is rendered, and not yet seen to
 
@@ -53,8 +54,9 @@ def _on_init(_scene: bpy.types.Scene, *_: object) -> None:
 
 @persistent
 def _on_pre(scene: bpy.types.Scene, *_: object) -> None:
-    global _frame, _started, _is_pending
+    global _frame, _started, _is_pending, rendered_with
     _frame = scene.frame_current
+    rendered_with = scene.render.engine
     _started = time.time()
     _is_pending = False
     engine_hook.begin_frame()
@@ -142,7 +144,7 @@ def denoise_render_result(scene: bpy.types.Scene, output: Path, written: Path | 
         start = time.perf_counter()
         exr_save.save_render_result(scene, source)
         saved = time.perf_counter() - start
-        outcome = files.denoise_file(source, output, plain, lambda _fraction: None, "zip", denoised)
+        outcome = files.denoise_fresh_file(source, output, plain, lambda _fraction: None, denoised)
     outcome.add_seconds("save", saved)
     return outcome
 

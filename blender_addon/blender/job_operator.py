@@ -33,13 +33,16 @@ class JobOperator(bpy.types.Operator if TYPE_CHECKING else object):  # type: ign
         """Runs in the end, whatever happened."""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """At once, without a window: scripts and background mode."""
+        """Ends when the work has: scripts."""
         if not self._begin(context):
             return {"CANCELLED"}
         self._job.wait()
         return self._end(context)
 
-    def start_modal(self, context: bpy.types.Context) -> set[str]:
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """Ends at once, the work goes on; in background mode, which has no events, like a script."""
+        if bpy.app.background:
+            return JobOperator.execute(self, context)
         if not self._begin(context):
             return {"CANCELLED"}
         manager = context.window_manager

@@ -25,7 +25,7 @@ class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
     _folder: tempfile.TemporaryDirectory[str] | None = None
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        return self.start_modal(context)
+        return self.start(context)
 
     def prepare(self, context: bpy.types.Context) -> Callable[[Callable[[float], bool]], Any]:
         scene = context.scene
@@ -33,6 +33,8 @@ class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
             raise library.Problem("Wait until the render has finished.")
         if scene.render.engine != "CYCLES":
             raise library.Problem("Quell denoises renders made with Cycles; this scene uses another render engine.")
+        if handlers.rendered_with not in ("", "CYCLES"):
+            raise library.Problem("This render was made with another engine than Cycles: render it again.")
         if engine_hook.is_frame_denoised:
             raise library.Problem("This render is denoised already.")
         denoised = cycles_settings.denoised_layers(scene)
@@ -45,7 +47,7 @@ class QUELL_OT_denoise_render(job_operator.JobOperator, bpy.types.Operator):
         exr_save.save_render_result(scene, source)
 
         def work(progress: Callable[[float], bool]) -> tuple[Path, Any, Any]:
-            outcome = files.denoise_file(source, output, settings, progress, "zip", denoised)
+            outcome = files.denoise_fresh_file(source, output, settings, progress, denoised)
             return output, outcome, files.picture_behind_composite(output)
 
         return work

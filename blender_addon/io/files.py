@@ -92,6 +92,19 @@ def denoise_file(
     return outcome
 
 
+def denoise_fresh_file(
+    source: Path, output: Path, settings: Settings, progress: Progress, denoised_layers: frozenset[str]
+) -> Outcome:
+    """As denoise_file, of a file that Blender has just written for this: on a full disk some versions write half of it
+    and say nothing."""
+    try:
+        return denoise_file(source, output, settings, progress, "zip", denoised_layers)
+    except quell().FileError as error:
+        if str(source) not in str(error):
+            raise
+        raise Problem(f"Blender could not write the render into {source.parent}: is the disk full?") from error
+
+
 def denoise_files(
     files: list[Path],
     settings: Settings,

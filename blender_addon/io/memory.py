@@ -64,8 +64,10 @@ def denoise_layers(
     """
     outcome = Outcome()
     results: list[tuple[RenderLayer, _Result]] = []
+    start = time.perf_counter()
     with quell().Context(threads=settings.threads, max_memory_bytes=settings.max_memory_bytes) as context:
         with context.open_model(settings.model, settings.quality) as model:
+            outcome.add_seconds("set up", time.perf_counter() - start)
             for index, layer in enumerate(layers):
                 if not _is_worth(layer, outcome):
                     continue
@@ -121,8 +123,10 @@ def _denoise(
         for name, pixels in arrays.items():
             frame.add_layer(f"{layer.name}.{name}", pixels, borrow=True)
         frame.set_samples(layer.samples)
+        handed_over = time.perf_counter()
+        outcome.add_seconds("set up", handed_over - read)
         report = context.denoise(frame, model, layers=settings.layers, progress=progress)
-    outcome.add_seconds("denoise", time.perf_counter() - read)
+        outcome.add_seconds("denoise", time.perf_counter() - handed_over)
     outcome.add_report(report)
     outcome.add_guides_note(set(known.values()))
 

@@ -14,7 +14,8 @@ class Outcome:
     denoised: list[str] = field(default_factory=list)  # full layer names
     skipped: list[tuple[str, str]] = field(default_factory=list)  # name and reason
     notes: list[str] = field(default_factory=list)  # what would make the result better
-    seconds: dict[str, float] = field(default_factory=dict)  # "read", "denoise", "write", "save", "load"
+    seconds: dict[str, float] = field(default_factory=dict)
+    # In memory "set up", "read", "denoise" (the library alone), "write"; of files "save", "read", "denoise", "write".
 
     def add_seconds(self, stage: str, seconds: float) -> None:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds

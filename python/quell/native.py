@@ -10,6 +10,8 @@ from __future__ import annotations
 import ctypes as C
 import functools
 import os
+import platform
+import re
 import sys
 from pathlib import Path
 
@@ -292,6 +294,8 @@ SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "quell_report_get_layer": (C.c_int32, [HANDLE, C.c_uint32, C.POINTER(ReportLayer)]),  # report, index, layer
 }
 
+_BAD_EXE_FORMAT = 193  # of Windows
+
 # Beside this file in the wheel; the first that exists is taken.
 LIBRARY_NAMES = {
     "win32": ("quell.dll", "libquell.dll"),
@@ -323,7 +327,7 @@ def load() -> C.CDLL:
         library = C.CDLL(str(path))
         version = declare(library)
     except OSError as error:
-        raise LibraryError(f"{path} cannot be loaded: {error}") from error
+        raise LibraryError(_why_not_loaded(path, error)) from error
     except AttributeError as error:
         raise LibraryError(f"{path} is no libquell of version {ABI_VERSION[0]}.{ABI_VERSION[1]}: {error}") from error
     if version != ABI_VERSION:
@@ -332,6 +336,24 @@ def load() -> C.CDLL:
             "install the two together"
         )
     return library
+
+
+def _why_not_loaded(path: Path, error: OSError) -> str:
+    """A sentence for what the system's loader said."""
+    said = str(error)
+    needed = re.search(r"GLIBC_([\d.]+)' not found", said)
+    if needed:
+        return (
+            f"{path.name} needs glibc {needed[1]} or later, and this system has {' '.join(platform.libc_ver())}: "
+            "use a newer Linux, such as Ubuntu 22.04, Debian 12 or Fedora 36, or build Quell on this one"
+        )
+    # Linux's loader overlooks a file for another processor as if it were not there.
+    is_foreign = ("wrong ELF class", "No such file") if path.exists() else ()
+    if getattr(error, "winerror", None) == _BAD_EXE_FORMAT or any(
+        text in said for text in (*is_foreign, "incompatible")
+    ):
+        return f"{path.name} is built for another processor or system: install the package that is for this one"
+    return f"{path} cannot be loaded: {error}"
 
 
 def declare(library: C.CDLL) -> tuple[int, int]:

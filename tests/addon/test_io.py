@@ -66,7 +66,7 @@ def test_memory_replaces_what_was_denoised_alone(addon):
     assert np.array_equal(noisy, canvas.pixels["Combined"])
     assert outcome.denoised == ["View.Layer.Combined"] and not outcome.notes
     assert outcome.summary().startswith("Denoised 1 pass in ")
-    assert set(outcome.seconds) == {"read", "denoise", "write"}
+    assert set(outcome.seconds) == {"set up", "read", "denoise", "write"}
 
 
 def test_memory_keeps_the_noisy_one(addon):

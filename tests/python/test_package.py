@@ -294,6 +294,27 @@ def test_closed_handles_say_so(package, context):
         _ = model.info
 
 
+def test_why_a_library_is_not_loaded(wheel_folder, tmp_path):
+    """An older system and another processor are told in words, from what the system's own loader says."""
+    content = (wheel_folder / "site" / "quell" / "libquell.so").read_bytes()
+    newer, foreign, other_class = (tmp_path / name for name in ("newer.so", "foreign.so", "other_class.so"))
+    newer.write_bytes(content.replace(b"GLIBC_2.3", b"GLIBC_9.3"))
+    foreign.write_bytes(content[:18] + b"\xff" + content[19:])  # ELF's e_machine
+    other_class.write_bytes(content[:4] + bytes([3 - content[4]]) + content[5:])
+    for library, sentence in (
+        (newer, "newer.so needs glibc 9.3"),
+        (foreign, "is built for another processor"),
+        (other_class, "is built for another processor"),
+    ):
+        result = subprocess.run(
+            [sys.executable, "-c", "import quell; quell.version()"],
+            env={**os.environ, "PYTHONPATH": str(wheel_folder / "site"), "QUELL_LIBRARY": str(library)},
+            capture_output=True,
+            text=True,
+        )
+        assert "LibraryError" in result.stderr and sentence in result.stderr
+
+
 def test_library_of_another_kind_is_refused(wheel_folder, tmp_path):
     """A library without the functions, one of another version, and none at all: a sentence, not a crash."""
     source = tmp_path / "other.c"

@@ -199,6 +199,41 @@ def border(scene):
 
 
 @check
+def stereo_by_the_button(scene):
+    """With Blender's default, which is one file for each eye, and which stays the user's."""
+    scene.render.use_multiview = True
+    scene.render.views_format = "STEREO_3D"
+    image_settings = scene.render.image_settings
+    try:
+        enable(scene, when="BUTTON")
+        test_scene.set_format(scene, "OPEN_EXR_MULTILAYER")
+        image_settings.views_format = "MULTIVIEW"
+        test_scene.render(scene, WORK / "stereo_button.exr")
+        image_settings.views_format = "INDIVIDUAL"
+        scene.render.filepath = str(WORK / "stereo_pressed")
+        assert bpy.ops.quell.denoise_render() == {"FINISHED"}
+        assert image_settings.views_format == "INDIVIDUAL"
+    finally:
+        scene.render.use_multiview = False
+        image_settings.views_format = "INDIVIDUAL"
+
+
+@check
+def border_in_a_full_picture(scene):
+    """Without cropping: Blender's file has black around the border, and so has the result."""
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, False
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.9, 0.1, 0.7
+    try:
+        enable(scene, output="FILE")
+        render_denoised(scene, "border_open.exr")
+        enable(scene)
+        render_denoised(scene, "border_open_inside.exr")
+    finally:
+        render.use_border = False
+
+
+@check
 def animation(scene):
     test_scene.set_format(scene, "OPEN_EXR_MULTILAYER")
     scene.frame_start, scene.frame_end = 1, 3
@@ -327,6 +362,21 @@ def enable_passes(scene):
 
 
 @check
+def passes_and_their_cost_by_undo(scene):
+    """The dialog's default, and Ctrl Z."""
+    layer = scene.view_layers[0]
+    layer.cycles.denoising_store_passes = False
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.quell.enable_passes("EXEC_DEFAULT") == {"FINISHED"}
+    assert layer.cycles.denoising_store_passes
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    assert not bpy.context.scene.view_layers[0].cycles.denoising_store_passes
+    bpy.ops.ed.redo()
+    assert bpy.context.scene.view_layers[0].cycles.denoising_store_passes
+
+
+@check
 def files_operator(scene):
     enable(scene)
     folder = WORK / "files"
@@ -338,6 +388,33 @@ def files_operator(scene):
     assert bpy.ops.quell.denoise_files(directory=str(folder)) == {"FINISHED"}
     assert sorted(p.name for p in folder.iterdir()) == ["a.exr", "a_quell.exr", "b.exr", "b_quell.exr"]
     assert (folder / "a_quell.exr").stat().st_mtime_ns == first, "a finished file was done again"
+
+
+@check
+def dropped_files(scene):
+    """As Blender calls it when files are dropped onto an editor: with a folder and names, without the file browser."""
+    if not hasattr(bpy.types, "FileHandler"):
+        return
+    handler = bpy.types.QUELL_FH_exr
+    assert (handler.bl_import_operator, handler.bl_file_extensions) == ("quell.denoise_files", ".exr")
+    window = bpy.context.window_manager.windows[0]
+    area = window.screen.areas[0]
+    before = area.type
+    try:
+        for kind, is_taken in (("IMAGE_EDITOR", True), ("VIEW_3D", False)):
+            area.type = kind
+            with bpy.context.temp_override(window=window, area=area):
+                assert handler.poll_drop(bpy.context) == is_taken
+    finally:
+        area.type = before
+    enable(scene)
+    folder = WORK / "dropped"
+    folder.mkdir()
+    for name in ("a.exr", "b.exr", "c.exr"):
+        shutil.copy(WORK / "noisy.exr", folder / name)
+    dropped = {"directory": str(folder), "files": [{"name": "a.exr"}, {"name": "c.exr"}]}
+    assert bpy.ops.quell.denoise_files("INVOKE_DEFAULT", **dropped) == {"FINISHED"}
+    assert sorted(p.stem for p in folder.iterdir()) == ["a", "a_quell", "b", "c", "c_quell"]
 
 
 @check
@@ -384,6 +461,106 @@ def another_engine(scene):
         expect_error("made with Cycles")
     finally:
         scene.render.engine = "CYCLES"
+
+
+@check
+def a_render_of_another_engine(scene):
+    """Cycles is chosen only after it. Blender's other engines need a graphics card: only what they tell is played."""
+    scene.render.engine = "BLENDER_WORKBENCH"
+    part("blender.handlers")._on_pre(scene)
+    scene.render.engine = "CYCLES"
+    expect_error("another engine than Cycles")
+    enable(scene)
+    render_denoised(scene, "cycles_again.exr")
+
+
+@check
+def no_passes(scene):
+    """Combined alone: denoised, with a word about what would help."""
+    layer = scene.view_layers[0]
+    attributes = [name for name in dir(layer) if name.startswith("use_pass_") and name != "use_pass_combined"]
+    before = {name: getattr(layer, name) for name in attributes}
+    enable(scene)
+    layer.cycles.denoising_store_passes = False
+    for name in before:
+        setattr(layer, name, False)
+    try:
+        render_denoised(scene, "no_passes.exr")
+        assert "enable the passes Quell wants" in " ".join(part("blender.state").status.details)
+    finally:
+        layer.cycles.denoising_store_passes = True
+        for name, value in before.items():
+            setattr(layer, name, value)
+
+
+@check
+def files_without_a_picture(scene):
+    """What Quell cannot denoise is said in words, by name; none of it is touched."""
+    (WORK / "text.exr").write_text("no picture")
+    for source, words in (("text.exr", "text.exr"), ("no_such_file.exr", "There is no file")):
+        try:
+            bpy.ops.quell.denoise_files(filepath=str(WORK / source))
+        except RuntimeError as error:
+            assert words in str(error), str(error)
+        else:
+            raise AssertionError(f"no error for {source}")
+        assert words in status(), status()
+    assert (WORK / "text.exr").read_text() == "no picture" and not (WORK / "text_quell.exr").exists()
+
+
+@check
+def disk_full(scene):
+    """Files may not grow beyond a few bytes, which writers cannot tell from a full disk."""
+    import resource
+    import signal
+
+    enable(scene, when="BUTTON")
+    test_scene.render(scene, WORK / "disk_full.exr")
+    scene.render.filepath = str(WORK / "disk_full_pressed")
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        expect_error("could not write")
+        try:
+            bpy.ops.quell.denoise_files(filepath=str(WORK / "noisy.exr"))
+        except RuntimeError as error:
+            assert "noisy_quell" in str(error), str(error)
+        else:
+            raise AssertionError("no error")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+        signal.signal(signal.SIGXFSZ, handler)
+    assert not list(WORK.glob("disk_full_pressed*")) and not list(WORK.glob("noisy_quell*"))
+
+
+@check
+def a_library_that_cannot_be_loaded(scene):
+    """Too old a system, or another processor's package: the panel's sentence, and the render is kept."""
+    library = part("io.library")
+    native = library.quell().native
+    path = native.library_path()
+    content = path.read_bytes()
+    newer = WORK / "newer.so"
+    newer.write_bytes(content.replace(b"GLIBC_2.3", b"GLIBC_9.3"))
+    foreign = WORK / "foreign.so"
+    foreign.write_bytes(content[:4] + bytes([3 - content[4]]) + content[5:])
+    import os
+
+    for file, words in ((newer, "newer.so needs glibc 9.3"), (foreign, "built for another processor")):
+        library.quell.cache_clear()
+        native.load.cache_clear()
+        os.environ["QUELL_LIBRARY"] = str(file)
+        try:
+            enable(scene)
+            test_scene.render(scene, WORK / "not_loaded.exr")
+            expect_error(words)
+            assert words in library.problem()
+        finally:
+            del os.environ["QUELL_LIBRARY"]
+            library.quell.cache_clear()
+            native.load.cache_clear()
+    render_denoised(scene, "loaded_again.exr")
 
 
 @check
@@ -531,7 +708,7 @@ def main() -> None:
     results = {}
     try:
         install()
-        scene = test_scene.make()
+        test_scene.make()
     except Exception:
         results["install"] = traceback.format_exc()
     else:
@@ -540,7 +717,7 @@ def main() -> None:
             if ONLY and function.__name__ not in ONLY:
                 continue
             try:
-                function(scene)
+                function(bpy.context.scene)  # undo makes it another object
                 results[function.__name__] = "ok"
             except Exception:
                 results[function.__name__] = traceback.format_exc()

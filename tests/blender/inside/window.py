@@ -178,7 +178,7 @@ def steps() -> Iterator[float]:
 
     # The button on a noisy render, and Esc while it works. The work waits halfway, for Esc or for the picture.
     files = part("io.files")
-    files_denoise_file = files.denoise_file
+    denoise_fresh_file = files.denoise_fresh_file
 
     def wait(work, is_cancelled: bool, source, output, settings, progress, *rest):
         end = time.monotonic() + (PATIENCE if is_cancelled else 2.0)
@@ -189,7 +189,7 @@ def steps() -> Iterator[float]:
     scene.quell.when = "BUTTON"
     yield from render_in_window()
     for name in ("cancel", "button"):
-        files.denoise_file = lambda *arguments, name=name: wait(files_denoise_file, name == "cancel", *arguments)
+        files.denoise_fresh_file = lambda *arguments, name=name: wait(denoise_fresh_file, name == "cancel", *arguments)
         with in_image_editor():
             started = time.monotonic()
             result = bpy.ops.quell.denoise_render("INVOKE_DEFAULT")
@@ -201,7 +201,7 @@ def steps() -> Iterator[float]:
             picture("progress")
         yield from until(lambda: state.status.icon != "SORTTIME", "the denoising")
         found[name] = state.status.text
-    files.denoise_file = files_denoise_file
+    files.denoise_fresh_file = denoise_fresh_file
     yield 1.0
     found["button_image"] = editor.image.name
     picture("button")
