@@ -16,7 +16,15 @@ SHORT_NAMES = {
     for long, short in (("Diffuse", "Diff"), ("Glossy", "Gloss"), ("Transmission", "Trans"))
     for kind_long, kind in (("Direct", "Dir"), ("Indirect", "Ind"), ("Color", "Col"))
 } | {"Volume Direct": "VolumeDir", "Volume Indirect": "VolumeInd", "Emission": "Emit", "Environment": "Env"}
-WANTED = {"Combined", *LIGHT, *SHORT_NAMES.values(), "Denoising Albedo", "Denoising Normal", "Denoising Depth"}
+WANTED = {
+    "Combined",
+    *LIGHT,
+    *SHORT_NAMES.values(),
+    "Denoising Albedo",
+    "Denoising Normal",
+    "Denoising Depth",
+    "Noisy Image",
+}
 LETTERS = ("R", "G", "B", "X", "Y", "Z", "A")
 
 
