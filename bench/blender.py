@@ -106,7 +106,7 @@ def measure_times(addon: Path, blenders: Path, work: Path, runs: int) -> list[di
         {
             **{column: row[column] for column in ("case", "run", "frame", "finish", "busy")},
             **{stage: row.get("stages", {}).get(stage, "") for stage in (*STAGES, "denoise")},
-            "denoised": row.get("denoised", ""),
+            **{column: row.get(column, "") for column in ("longest", "denoised")},
             **facts,
         }
         for row in json.loads((work / "time.json").read_text())
@@ -180,6 +180,7 @@ def section(errors: Rows, times: Rows) -> str:
     num_scenes = len({row["scene"] for row in errors})
     num_passes = next(row["denoised"] for row in times if row["case"] == ALL_PASSES)
     machine = f"{facts['machine']} with {facts['threads']} threads"
+    longest = max(float(row["longest"]) for row in times if row["longest"])
     return f"""Written by `make bench-blender`, revision {facts["revision"]}, on {machine} and a load average of
 {facts["load"]}: above the number of threads other work ran too, and an idle machine is faster. Cycles' own
 denoiser is OpenImageDenoise at Blender's defaults (High, Accurate, albedo and normal), on the processor. Both start
@@ -192,7 +193,9 @@ cleans Combined alone; "all passes" is {num_passes} passes here.
 What the add-on takes beside the library in that frame, in seconds by stage. It is the work of one thread; the time that
 this thread was on a processor is what other work on the machine hardly changes, and is compared with the aim.
 
-{stage_table(times)}"""
+{stage_table(times)}
+The interface has to wait while one pass is read or written, at most {number(longest)} s on a processor here (aim: below
+0.1 s); during the rest it goes on."""
 
 
 def put_section(page: Path, text: str) -> None:

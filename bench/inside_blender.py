@@ -150,18 +150,24 @@ def build_scene() -> bpy.types.Scene:
 class Clock:
     """Times what the engine does after the last sample, Quell's part included: Cycles' method as the add-on has wrapped
     it. `busy` is the time that its thread was on a processor, without the library's work: other programs do not change
-    it."""
+    it. `longest` is that of the longest step which keeps the interface waiting: one pass that is read or written."""
 
     def __init__(self) -> None:
         import cycles
 
-        self.wrapped = [(cycles.CyclesRender, "render_frame_finish"), (package().Context, "denoise")]
+        hook = importlib.import_module(f"{MODULE}.blender.engine_hook")
+        self.wrapped = [
+            (cycles.CyclesRender, "render_frame_finish"),
+            (package().Context, "denoise"),
+            (hook, "_read"),
+            (hook, "_write"),
+        ]
         self.originals = [getattr(owner, name) for owner, name in self.wrapped]
-        self.seconds = self.busy = self.busy_library = 0.0
-        finish, denoise = self.originals
+        self.seconds = self.busy = self.busy_library = self.longest = 0.0
+        finish, denoise, read, write = self.originals
 
         def timed_finish(engine: bpy.types.RenderEngine) -> None:
-            self.busy_library = 0.0
+            self.busy_library = self.longest = 0.0
             start, start_busy = time.perf_counter(), time.thread_time()
             finish(engine)
             self.seconds = time.perf_counter() - start
@@ -174,7 +180,17 @@ class Clock:
             finally:
                 self.busy_library += time.thread_time() - start
 
-        for (owner, name), function in zip(self.wrapped, (timed_finish, timed_denoise), strict=True):
+        def timed_step(step: Callable[..., object]) -> Callable[..., object]:
+            def timed(*arguments: object) -> object:
+                start = time.thread_time()
+                result = step(*arguments)
+                self.longest = max(self.longest, time.thread_time() - start)
+                return result
+
+            return timed
+
+        timed = (timed_finish, timed_denoise, timed_step(read), timed_step(write))
+        for (owner, name), function in zip(self.wrapped, timed, strict=True):
             setattr(owner, name, function)
 
     def close(self) -> None:
@@ -211,7 +227,7 @@ def time_frame(addon: Path, folder: Path, runs: int) -> None:
             if scene.quell.enabled:
                 entry = json.loads(journal.read_text())
                 assert entry["status"] == "done", entry
-                row |= {"stages": entry["seconds"], "denoised": len(entry["denoised"])}
+                row |= {"stages": entry["seconds"], "denoised": len(entry["denoised"]), "longest": clock.longest}
             return row
 
         return run

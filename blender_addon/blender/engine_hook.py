@@ -194,7 +194,11 @@ def _denoise(engine: bpy.types.RenderEngine, rendering: _Rendering) -> None:
     size = (result.resolution_x, result.resolution_y)
     state.set_running("Denoising")
     outcome, noisy = memory.denoise_layers(
-        _layers(result, rendering), size, rendering.settings, lambda fraction: _progress(engine, fraction)
+        _layers(result, rendering),
+        size,
+        rendering.settings,
+        lambda fraction: _progress(engine, fraction),
+        wants_before=not bpy.app.background,
     )
     _end_frame(is_denoised=True)
     state.set_before(noisy)

@@ -55,12 +55,16 @@ class _Result:
 
 
 def denoise_layers(
-    layers: list[RenderLayer], size: tuple[int, int], settings: Settings, progress: Progress
+    layers: list[RenderLayer],
+    size: tuple[int, int],
+    settings: Settings,
+    progress: Progress,
+    wants_before: bool = True,
 ) -> tuple[Outcome, np.ndarray | None]:
     """Denoises all layers and writes the result back into them.
 
-    Returns what was done, and the first layer's noisy Combined. Raises Problem where nothing can be done, and the
-    library's errors.
+    Returns what was done, and the first layer's noisy Combined: a copy, made only where it is wanted. Raises Problem
+    where nothing can be done, and the library's errors.
     """
     outcome = Outcome()
     results: list[tuple[RenderLayer, _Result]] = []
@@ -75,7 +79,8 @@ def denoise_layers(
                 def part(fraction: float, index: int = index) -> bool | None:
                     return progress((index + fraction) / len(layers))
 
-                results.append((layer, _denoise(context, model, layer, size, settings, part, outcome)))
+                result = _denoise(context, model, layer, size, settings, part, outcome, wants_before and not results)
+                results.append((layer, result))
     if not results:
         raise Problem(outcome.skipped[0][1] if outcome.skipped else "The render has no Combined pass.")
     start = time.perf_counter()
@@ -104,6 +109,7 @@ def _denoise(
     settings: Settings,
     progress: Progress,
     outcome: Outcome,
+    wants_before: bool,
 ) -> _Result:
     known = roles({p.name: p.num_channels for p in layer.passes if 1 <= p.num_channels <= 4})
     named = {name.strip() for name in (settings.layers or "").split(",")}
@@ -115,7 +121,8 @@ def _denoise(
 
     start = time.perf_counter()
     arrays = {p.name: p.read() for p in wanted}
-    noisy = arrays.get(NOISY_NAME, arrays["Combined"]).copy()
+    is_kept = settings.keep_noisy and settings.target != ADD_PASS and NOISY_NAME not in arrays
+    noisy = arrays.get(NOISY_NAME, arrays["Combined"]).copy() if wants_before or is_kept else None
     read = time.perf_counter()
     outcome.add_seconds("read", read - start)
 
@@ -131,11 +138,11 @@ def _denoise(
     outcome.add_guides_note(set(known.values()))
 
     changed = set(report.names("denoised"))
-    result = _Result(noisy=noisy)
+    result = _Result(noisy=noisy if wants_before else None)
     if settings.target == ADD_PASS:
         result.added.append((PASS_NAME, arrays["Combined"]))
     else:
         result.passes = [(p, arrays[p.name]) for p in wanted if f"{layer.name}.{p.name}" in changed]
-        if settings.keep_noisy and NOISY_NAME not in arrays:
+        if is_kept and noisy is not None:
             result.added.append((KEPT_NAME, noisy))
     return result

@@ -75,6 +75,16 @@ def test_memory_keeps_the_noisy_one(addon):
     assert np.array_equal(canvas.written["Quell Noisy"], canvas.pixels["Combined"])
 
 
+def test_memory_copies_the_picture_before_only_where_it_is_wanted(addon):
+    canvas = Canvas(addon, GUIDED)
+    plain = addon.settings.Settings(threads=1, keep_noisy=True)
+    _, before = addon.memory.denoise_layers([canvas.layer], (40, 32), plain, no_progress, wants_before=False)
+    assert before is None
+    assert np.array_equal(canvas.written["Quell Noisy"], canvas.pixels["Combined"])
+    _, before = canvas.denoise(addon)
+    assert np.array_equal(before, canvas.pixels["Combined"])
+
+
 def test_memory_makes_a_pass_of_its_own(addon):
     plain, own = Canvas(addon, GUIDED), Canvas(addon, GUIDED)
     plain.denoise(addon)

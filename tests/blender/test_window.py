@@ -69,6 +69,15 @@ def test_f12_denoises_in_the_render(window):
     assert window["render"].startswith("Denoised ")
 
 
+def test_escape_cancels_in_the_render(window):
+    assert window["cancel_render"] == "Denoising was cancelled; the render is noisy"
+
+
+def test_the_interface_goes_on_while_it_denoises(window):
+    """Not a tenth of a second without it, or where the machine is busy, not longer than Cycles keeps it anyway."""
+    assert window["gap_in_denoise"] < max(0.1, 2 * window["gap_in_render"])
+
+
 def test_before_and_after(window):
     assert (window["before"], window["after"]) == ("Quell Before", "RENDER_RESULT")
 

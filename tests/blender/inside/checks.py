@@ -22,6 +22,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import layout  # noqa: E402
 import scene as test_scene  # noqa: E402
 
 _arguments = sys.argv[sys.argv.index("--") + 1 :]
@@ -376,6 +377,62 @@ def passes_and_their_cost_by_undo(scene):
     assert bpy.context.scene.view_layers[0].cycles.denoising_store_passes
 
 
+def drawn(name: str) -> str:
+    """What a panel shows, in one line: there is no region that sentences could be broken for."""
+    panels = part("blender.panels")
+    before = panels._draw_text
+    panels._draw_text = lambda layout, text, icon="NONE": layout.label(text=text, icon=icon)
+    try:
+        return " ".join(layout.draw(getattr(panels, name), bpy.context))
+    finally:
+        panels._draw_text = before
+
+
+@check
+def panels_draw(scene):
+    """Every panel as the user meets it, with what stands in the way and how to mend it."""
+    enable(scene)
+    view_layer = scene.view_layers[0]
+    assert "Quality" in drawn("QUELL_PT_render") and "Enable" not in drawn("QUELL_PT_render")
+    assert "File Name" not in drawn("QUELL_PT_output")
+    scene.quell.output = "FILE"
+    assert "File Name" in drawn("QUELL_PT_output") and "Result" not in drawn("QUELL_PT_output")
+    scene.quell.layers = "NAMES"
+    assert "Names" in drawn("QUELL_PT_render")
+
+    view_layer.cycles.denoising_store_passes = False
+    assert "Enable the Passes Quell Wants" in drawn("QUELL_PT_render")
+    view_layer.cycles.denoising_store_passes = True
+
+    scene.cycles.use_denoising = True
+    assert "Cycles denoises this scene too. Turn Off Cycles' Denoiser" in drawn("QUELL_PT_render")
+    bpy.ops.quell.use_quell_alone()
+    assert "too" not in drawn("QUELL_PT_render") and not scene.cycles.use_denoising
+
+    node = test_scene.compositing_tree(scene).nodes.new("CompositorNodeDenoise")
+    assert "A Denoise node in the compositor denoises once more." in drawn("QUELL_PT_render")
+    node.mute = True
+    assert "once more" not in drawn("QUELL_PT_render")
+    test_scene.drop_compositing(scene)
+
+    hook = part("blender.engine_hook")
+    hook._runtime_problem = "closed for this test"
+    assert "closed for this test Results go into EXR files" not in drawn("QUELL_PT_output")
+    scene.quell.output = "RENDER"
+    assert "closed for this test Results go into EXR files instead." in drawn("QUELL_PT_output")
+    hook._runtime_problem = ""
+
+
+@check
+def the_dialog_says_what_passes_cost(scene):
+    operator = part("blender.passes").QUELL_OT_enable_passes
+    percentage, scene.render.resolution_percentage = scene.render.resolution_percentage, 1600
+    shown = layout.draw(operator, bpy.context, bl_rna=bpy.ops.quell.enable_passes.get_rna_type())
+    scene.render.resolution_percentage = percentage
+    assert "28 MB of memory at this size, in each view layer" in shown, shown
+    assert "156 MB of memory at this size, in each view layer" in shown, shown
+
+
 @check
 def files_operator(scene):
     enable(scene)
@@ -555,7 +612,7 @@ def a_library_that_cannot_be_loaded(scene):
             enable(scene)
             test_scene.render(scene, WORK / "not_loaded.exr")
             expect_error(words)
-            assert words in library.problem()
+            assert words in library.problem() and words in drawn("QUELL_PT_render")
         finally:
             del os.environ["QUELL_LIBRARY"]
             library.quell.cache_clear()

@@ -146,6 +146,74 @@ def render_in_window() -> Iterator[float]:
     yield 1.0
 
 
+ticks: list[float] = []
+
+
+def tick() -> float:
+    """Runs whenever the interface is free to."""
+    ticks.append(time.monotonic())
+    return 0.005
+
+
+def longest_gap(start: float, end: float) -> float:
+    """Seconds for which the interface stood still between two times."""
+    inside = [start, *(t for t in ticks if start < t < end), end]
+    return max(b - a for a, b in zip(inside, inside[1:], strict=False))
+
+
+def measure_gaps(scene: bpy.types.Scene) -> Iterator[float]:
+    """How long the interface stands still while Cycles renders a larger picture with all passes, and while Quell
+    denoises it on the same thread."""
+    memory = part("io.memory")
+    denoise_layers = memory.denoise_layers
+    times: list[float] = []
+
+    def timed(*arguments: object, **options: object) -> object:
+        times.append(time.monotonic())
+        try:
+            return denoise_layers(*arguments, **options)
+        finally:
+            times.append(time.monotonic())
+
+    memory.denoise_layers = timed
+    samples, scene.cycles.samples = scene.cycles.samples, 1
+    scene.render.resolution_percentage = 400
+    bpy.app.timers.register(tick)
+    start = time.monotonic()
+    yield from render_in_window()
+    bpy.app.timers.unregister(tick)
+    memory.denoise_layers = denoise_layers
+    scene.render.resolution_percentage, scene.cycles.samples = 100, samples
+    found["gap_in_render"] = longest_gap(start, times[0])
+    found["gap_in_denoise"] = longest_gap(*times)
+    found["denoise_seconds"] = times[1] - times[0]
+
+
+def cancel_in_render(scene: bpy.types.Scene) -> Iterator[float]:
+    """F12, and Esc when Cycles is done and Quell at work."""
+    hook = part("blender.engine_hook")
+    progress = hook._progress
+    waiting: list[bool] = []
+
+    def wait(engine: bpy.types.RenderEngine, fraction: float) -> bool:
+        waiting.append(True)
+        end = time.monotonic() + PATIENCE
+        while not progress(engine, fraction) and time.monotonic() < end:
+            time.sleep(0.02)
+        return progress(engine, fraction)
+
+    def press() -> float | None:
+        if not waiting:
+            return WAIT
+        mouse("mousemove", 400, 500, "key", "Escape")
+        return None
+
+    hook._progress = wait
+    bpy.app.timers.register(press)
+    yield from render_in_window()
+    hook._progress = progress
+
+
 def steps() -> Iterator[float]:
     state = part("blender.state")
     scene = stage(SIZE, 4)
@@ -175,6 +243,10 @@ def steps() -> Iterator[float]:
     with in_image_editor():
         bpy.ops.quell.toggle_before()
     found["after"] = editor.image.type
+
+    yield from measure_gaps(scene)
+    yield from cancel_in_render(scene)
+    found["cancel_render"] = state.status.text
 
     # The button on a noisy render, and Esc while it works. The work waits halfway, for Esc or for the picture.
     files = part("io.files")
