@@ -7,7 +7,8 @@ docs/blender.md.
 
 Error: the samples' scenes are rendered once, in the Blender of each sample, with Cycles' denoiser on; the file holds
 its result and the noisy picture it had, which the add-on then denoises. The renders stay in --work, so that another run
-only denoises. References are the samples'. Seconds: one frame of 1920x1080, rendered by turns.
+only denoises. References are the samples'. Seconds: one frame, rendered by turns. Those of all threads on a processor
+are compared, because other programs hardly change them.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.common import ROOT, machine_name, median, read_csv, revision, write_csv
+from bench.common import ROOT, SIZES, machine_name, median, read_csv, revision, write_csv
 from bench.errors import geometric_mean, rel_mse
 from bench.pictures import Sample, list_samples, read_passes
 from bench.report import number, table
@@ -35,8 +36,9 @@ LEVELS = ("fast", "balanced", "high")
 CYCLES = "Cycles' own denoiser"
 STAGES = ("set up", "read", "write")  # of the add-on; "denoise" is the library's
 BEGIN, END = "<!-- written by bench/blender.py -->", "<!-- end -->"
-# What the add-on may add to the library: case -> seconds.
+# What the add-on may add to the library at AIM_SIZE: case -> seconds.
 ALL_PASSES, COMBINED_ONLY = "Quell balanced, all passes", "Quell balanced, Combined only"
+AIM_SIZE = "1920x1080"
 AIMS = {ALL_PASSES: 0.6, COMBINED_ONLY: 0.1}
 
 
@@ -92,11 +94,12 @@ def measure_errors(addon: Path, blenders: Path, work: Path) -> list[dict[str, ob
     return error_rows(samples, renders)
 
 
-def measure_times(addon: Path, blenders: Path, work: Path, runs: int) -> list[dict[str, object]]:
+def measure_times(addon: Path, blenders: Path, work: Path, runs: int, size: tuple[int, int]) -> list[dict[str, object]]:
     """One row for each frame that was rendered. Stages are empty where Quell was off."""
     work.mkdir(parents=True, exist_ok=True)
-    inside(blenders, TIMED_VERSION, work, "time", addon, work, runs)
+    inside(blenders, TIMED_VERSION, work, "time", addon, work, runs, *size)
     facts = {
+        "size": "x".join(map(str, size)),
         "machine": machine_name(),
         "threads": os.cpu_count(),
         "revision": revision(),
@@ -104,7 +107,7 @@ def measure_times(addon: Path, blenders: Path, work: Path, runs: int) -> list[di
     }
     return [
         {
-            **{column: row[column] for column in ("case", "run", "frame", "finish", "busy")},
+            **{column: row[column] for column in ("case", "run", "frame", "cpu", "finish", "busy")},
             **{stage: row.get("stages", {}).get(stage, "") for stage in (*STAGES, "denoise")},
             **{column: row.get(column, "") for column in ("longest", "denoised")},
             **facts,
@@ -120,8 +123,8 @@ Rows = list[Row]
 
 
 def added_seconds(times: Rows) -> dict[str, float]:
-    """Median seconds that a case adds to a frame of the same passes without a denoiser."""
-    frames = {row["case"]: median(float(r["frame"]) for r in times if r["case"] == row["case"]) for row in times}
+    """Median seconds of processors that a case adds to a frame of the same passes without a denoiser."""
+    frames = {row["case"]: median(float(r["cpu"]) for r in times if r["case"] == row["case"]) for row in times}
     return {
         case: seconds - frames["nothing, all passes" if case.endswith("all passes") else "nothing"]
         for case, seconds in frames.items()
@@ -143,17 +146,19 @@ def stage_row(times: Rows, case: str) -> dict[str, float]:
     return seconds
 
 
-def error_tables(errors: Rows, added: dict[str, float]) -> str:
+def error_tables(errors: Rows, times: Rows) -> str:
     """Means over the scenes with the seconds of each method, and scene by scene."""
     methods, scenes = (list(dict.fromkeys(row[column] for row in errors)) for column in ("method", "scene"))
     spps = sorted({int(row["spp"]) for row in errors})
     found = {(row["method"], row["scene"], int(row["spp"])): float(row["rel_mse"]) for row in errors}
 
+    added = added_seconds(times)
+
     def mean(method: str, spp: int) -> str:
         return number(geometric_mean([found[method, scene, spp] for scene in scenes]))
 
     means = table(
-        ["", *(f"relMSE, {spp} spp" for spp in spps), "seconds added to a frame of 1920x1080"],
+        ["", *(f"relMSE, {spp} spp" for spp in spps), f"seconds on processors added to a frame of {times[0]['size']}"],
         [[method, *(mean(method, spp) for spp in spps), number(added.get(method))] for method in methods],
     )
     by_scene = table(
@@ -167,7 +172,7 @@ def stage_table(times: Rows) -> str:
     rows = []
     for case, aim in AIMS.items():
         seconds = stage_row(times, case)
-        reached = "yes" if seconds["busy"] <= aim else "**no**"
+        reached = ("yes" if seconds["busy"] <= aim else "**no**") if times[0]["size"] == AIM_SIZE else ""
         cells = [number(seconds[stage]) for stage in (*STAGES, "rest", "added", "busy")]
         rows.append([case, *cells, f"at most {aim}", reached, number(seconds["denoise"])])
     return table(
@@ -182,16 +187,17 @@ def section(errors: Rows, times: Rows) -> str:
     machine = f"{facts['machine']} with {facts['threads']} threads"
     longest = max(float(row["longest"]) for row in times if row["longest"])
     return f"""Written by `make bench-blender`, revision {facts["revision"]}, on {machine} and a load average of
-{facts["load"]}: above the number of threads other work ran too, and an idle machine is faster. Cycles' own
-denoiser is OpenImageDenoise at Blender's defaults (High, Accurate, albedo and normal), on the processor. Both start
-from the same noisy picture, rendered by Blender {" and ".join(SCENE_VERSIONS)} from the {num_scenes} scenes of
-`samples/`. relMSE is against two references each, its mean geometric: less is better. Seconds are the difference of a
-frame with and without the denoiser, medians of renders that take turns, in Blender {TIMED_VERSION}. Cycles' denoiser
-cleans Combined alone; "all passes" is {num_passes} passes here.
+{facts["load"]}: where that is above the number of threads, other work ran too. Cycles' own denoiser is OpenImageDenoise
+at Blender's defaults (High, Accurate, albedo and normal), on the processor. Both start from the same noisy picture,
+rendered by Blender {" and ".join(SCENE_VERSIONS)} from the {num_scenes} scenes of `samples/`. relMSE is against two
+references each, its mean geometric: less is better. Seconds are those of all threads on a processor, the difference of
+a frame with and without the denoiser, medians of renders that take turns, in Blender {TIMED_VERSION}: an idle machine
+takes as long as that divided by its threads. Cycles' denoiser cleans Combined alone; "all passes" is {num_passes}
+passes here.
 
-{error_tables(errors, added_seconds(times))}
-What the add-on takes beside the library in that frame, in seconds by stage. It is the work of one thread; the time that
-this thread was on a processor is what other work on the machine hardly changes, and is compared with the aim.
+{error_tables(errors, times)}
+What the add-on takes beside the library in that frame, in seconds by stage by the clock, and of its one thread on a
+processor, which is compared with the aim.
 
 {stage_table(times)}
 The interface has to wait while one pass is read or written, at most {number(longest)} s on a processor here (aim: below
@@ -213,6 +219,7 @@ def main() -> None:
     parser.add_argument("--blenders", type=Path, default=ROOT / "build" / "blender", help="VERSION/bin/python with bpy")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "bench" / "blender", help="where renders stay")
     parser.add_argument("--runs", type=int, default=2, help="timed frames of each kind (default: %(default)s)")
+    parser.add_argument("--size", choices=SIZES, default="1080p", help="of the timed frame (default: %(default)s)")
     parser.add_argument("--only", choices=("error", "time"), help="measure one, and keep the other's CSV")
     parser.add_argument("--results", type=Path, default=ROOT / "bench" / "results", help="folder of the CSVs")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "blender.md", help="page with the section")
@@ -223,7 +230,10 @@ def main() -> None:
     if arguments.only != "time":
         write_csv(tables["error"], measure_errors(addon, arguments.blenders, arguments.work))
     if arguments.only != "error":
-        write_csv(tables["time"], measure_times(addon, arguments.blenders, arguments.work, arguments.runs))
+        write_csv(
+            tables["time"],
+            measure_times(addon, arguments.blenders, arguments.work, arguments.runs, SIZES[arguments.size]),
+        )
     put_section(arguments.page, section(read_csv(tables["error"]), read_csv(tables["time"])))
     print(arguments.page)
 

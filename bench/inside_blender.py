@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs inside Blender for bench/blender.py: renders the samples' scenes, denoises them, and times a frame of 1080p.
+"""Runs inside Blender for bench/blender.py: renders the samples' scenes, denoises them, and times a frame.
 
     python inside_blender.py samples FOLDER SPP,...          renders what FOLDER lacks
     python inside_blender.py denoise ADDON.zip FOLDER        denoises what is there, by the add-on
-    python inside_blender.py time ADDON.zip FOLDER RUNS      FOLDER/time.json
+    python inside_blender.py time ADDON.zip FOLDER RUNS WIDTH HEIGHT      FOLDER/time.json
 
 `python` is one with bpy. Cycles' own denoiser is at Blender's defaults, which are checked.
 """
@@ -24,7 +24,6 @@ import bpy
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULE = "bl_ext.user_default.quell"
-SIZE = (1920, 1080)
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def denoise_samples(addon: Path, folder: Path) -> None:
 # ---- Seconds of a frame ----------------------------------------------------------------------------------------------
 
 
-def build_scene() -> bpy.types.Scene:
+def build_scene(size: tuple[int, int]) -> bpy.types.Scene:
     """Cheap to render, with light in every light pass: a glossy ball, a glass one, a lamp's mesh, mist, a sky."""
     bpy.ops.wm.read_factory_settings()
     scene = bpy.context.scene
@@ -120,7 +119,7 @@ def build_scene() -> bpy.types.Scene:
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = False
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     for place, values in (
         ((3, -1, 0), {"Metallic": 1.0, "Roughness": 0.3}),
@@ -198,9 +197,9 @@ class Clock:
             setattr(owner, name, function)
 
 
-def time_frame(addon: Path, folder: Path, runs: int) -> None:
+def time_frame(addon: Path, folder: Path, runs: int, size: tuple[int, int]) -> None:
     """Renders one frame by turns without a denoiser, with Cycles' own and with Quell, after a tiny one of each."""
-    scene = build_scene()
+    scene = build_scene(size)
     install(addon)
     passes = importlib.import_module(f"{MODULE}.blender.passes")
     journal = folder / "journal.jsonl"
@@ -221,9 +220,10 @@ def time_frame(addon: Path, folder: Path, runs: int) -> None:
             set_light_passes(has_light)
             set_up()
             journal.unlink(missing_ok=True)
-            start = time.perf_counter()
+            start, start_cpu = time.perf_counter(), time.process_time()
             bpy.ops.render.render()
-            row: dict[str, object] = {"frame": time.perf_counter() - start, "finish": clock.seconds, "busy": clock.busy}
+            row: dict[str, object] = {"frame": time.perf_counter() - start, "cpu": time.process_time() - start_cpu}
+            row |= {"finish": clock.seconds, "busy": clock.busy}
             if scene.quell.enabled:
                 entry = json.loads(journal.read_text())
                 assert entry["status"] == "done", entry
@@ -269,7 +269,8 @@ def main() -> None:
     elif task == "denoise":
         denoise_samples(Path(arguments[0]), Path(arguments[1]))
     else:
-        time_frame(Path(arguments[0]), Path(arguments[1]), int(arguments[2]))
+        runs, width, height = map(int, arguments[2:])
+        time_frame(Path(arguments[0]), Path(arguments[1]), runs, (width, height))
 
 
 main()

@@ -13,14 +13,15 @@ sys.path.insert(0, str(ROOT))
 
 from bench import blender  # noqa: E402
 
-FACTS = {"machine": "A", "threads": "2", "revision": "1", "load": "9.0"}
+FACTS = {"machine": "A", "threads": "2", "revision": "1", "load": "9.0", "size": "1920x1080"}
 
 
 def frame(case: str, seconds: float, **columns: object) -> dict[str, str]:
     row = {
         "case": case,
         "run": 1,
-        "frame": seconds,
+        "frame": 9.0,
+        "cpu": seconds,
         "finish": 0.01,
         "busy": 0.01,
         "denoised": "",
@@ -85,6 +86,12 @@ def test_the_section_takes_its_place_in_the_page(times, tmp_path):
     assert "at most 0.03 s" in text
     # At most 0.6 is reached, at most 0.1 is not.
     assert text.count("| yes |") == 1 and text.count("| **no** |") == 1
+
+
+def test_aims_are_for_one_size(times):
+    for row in times:
+        row["size"] = "854x480"
+    assert "| yes |" not in blender.stage_table(times) and "| **no** |" not in blender.stage_table(times)
 
 
 def test_a_page_without_marks_is_left_alone(tmp_path):
