@@ -197,7 +197,7 @@ passes here.
 
 {error_tables(errors, times)}
 What the add-on takes beside the library in that frame, in seconds by stage by the clock, and of its one thread on a
-processor, which is compared with the aim.
+processor, which is compared with the aim for {AIM_SIZE}.
 
 {stage_table(times)}
 The interface has to wait while one pass is read or written, at most {number(longest)} s on a processor here (aim: below
