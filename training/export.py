@@ -22,7 +22,7 @@ from training.train import config_from_json, run_folder
 
 MAGIC = b"QUELLWTS"
 VERSION = 1
-KIND = "quell-3"
+KIND = "quell-4"
 NAME_BYTES = 48
 ALIGNMENT = 64
 FLOAT, HALF, INT, TEXT = 0, 1, 2, 3
@@ -97,13 +97,18 @@ def read_weights(path: Path) -> dict[str, np.ndarray | str]:
     return values
 
 
+def config_value(values: np.ndarray) -> int | tuple[int, ...]:
+    """A setting of QuellConfig: one number, or one for each level."""
+    return tuple(int(v) for v in values) if len(values) > 1 else int(values[0])
+
+
 def load_weights(path: Path) -> Quell:
     """The model that a weight file holds."""
     values = read_weights(path)
     if values.get("meta.kind") != KIND:
         raise WeightFileError(f"{path}: kind {values.get('meta.kind')!r}, expected {KIND!r}")
     names = [field.name for field in dataclasses.fields(QuellConfig)]
-    model = Quell(QuellConfig(**{name: tuple(int(v) for v in values[f"config.{name}"]) for name in names}))
+    model = Quell(QuellConfig(**{name: config_value(values[f"config.{name}"]) for name in names}))
     state = model.net.state_dict()
     for name, old in state.items():
         value = torch.from_numpy(np.array(values[file_name(name)], np.float32))
@@ -150,7 +155,7 @@ def file_records(model: Quell, name: str, description: str) -> dict[str, np.ndar
         "meta.name": name,
         "meta.description": description,
         **{
-            f"config.{field.name}": np.array(getattr(config, field.name), np.int32)
+            f"config.{field.name}": np.atleast_1d(np.array(getattr(config, field.name), np.int32))
             for field in dataclasses.fields(config)
         },
         "config.inputs": np.array([NUM_FEATURES, NUM_FLAGS], np.int32),

@@ -52,7 +52,7 @@ class Muon(torch.optim.Optimizer):
 def split_parameters(model: torch.nn.Module) -> tuple[list[Tensor], list[Tensor]]:
     """Weights of the body's convolutions, and the rest: heads, embeddings, biases and tables are no matrices whose
     directions are alike."""
-    body = ("net.stem.", "net.down.", "net.encoder.", "net.up.", "net.decoder.")
+    body = ("net.stem.", "net.down.", "net.encoder.", "net.up.", "net.decoder.", "net.detail_in.", "net.detail_mid.")
     matrices, rest = [], []
     for name, p in model.named_parameters():
         (matrices if p.dim() == 4 and name.startswith(body) else rest).append(p)

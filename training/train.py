@@ -58,7 +58,7 @@ class TrainConfig:
 def config_from_json(data: dict) -> TrainConfig:
     """Unknown keys are errors (by the constructors)."""
     data = dict(data)
-    model = {k: tuple(v) for k, v in data.pop("model", {}).items()}
+    model = {k: tuple(v) if isinstance(v, list) else v for k, v in data.pop("model", {}).items()}
     crops = dict(data.pop("crops", {}))
     if "spp_weights" in crops:
         crops["spp_weights"] = tuple((int(s), float(w)) for s, w in crops["spp_weights"])

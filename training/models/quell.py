@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The quell family: one small U-Net at half resolution guides a kernel pyramid for each pass.
 
-guides [13]   -> 1x1, and with three more 3x3 to 16, ReLU, 3x3: an embedding at full resolution, which follows edges
+guides [13]   -> 1x1, and with three more and the U-Net's finest features three 3x3: an embedding at full resolution,
+                 which follows edges
 features [32] -> 2x2 stride 2 -> U-Net at 1/2, 1/4, 1/8, 1/16 (3x3 convolutions, ReLU, additive skips)
               -> heads (1x1), one per level: its share of the embedding, and for each pass how sharply each of its
                  dimensions is looked at, a bonus for the centre, a blend, a partition, at full resolution an importance
@@ -23,7 +24,7 @@ PARTS = ("direct", "indirect")
 GROUPS = ("beauty", *(f"{light}_{part}" for light in LIGHTS for part in PARTS))
 LEVELS = 5
 EMBEDDING = 10  # dimensions; all passes share them
-DETAIL = 16  # channels at full resolution, in and between
+DETAIL_INPUTS = 16  # what the convolutions at full resolution see
 GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "partition": 1, "importance": 1}
 FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
 NARROW_GROUPS = ("color", "emission")  # 5x5 kernels at full resolution alone
@@ -46,11 +47,13 @@ def head_planes(level: int) -> int:
 
 @dataclass(frozen=True)
 class QuellConfig:
-    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, and how many 3x3 convolutions each level has, down and up."""
+    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, how many 3x3 convolutions each level has, down and up, and the width at
+    full resolution."""
 
     widths: tuple[int, int, int, int] = (48, 64, 80, 96)
     down_convs: tuple[int, int, int, int] = (1, 1, 1, 2)
     up_convs: tuple[int, int, int] = (1, 1, 2)  # at 1/2, 1/4, 1/8
+    detail: int = 16  # channels at full resolution
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,10 @@ class QuellNet(nn.Module):
         self.filter_table = nn.ParameterList(torch.zeros(len(GROUPS), 1, FILTER_TAPS) for _ in range(LEVELS))
         self.up_table = nn.ParameterList(torch.zeros(len(GROUPS), 4, UP_TAPS) for _ in range(LEVELS - 1))
         self.narrow_table = nn.Parameter(torch.zeros(len(NARROW_GROUPS), 1, FILTER_TAPS))
-        self.detail_in = nn.Conv2d(DETAIL, DETAIL, 3, padding=1)
-        self.detail_out = nn.Conv2d(DETAIL, EMBEDDING, 3, padding=1)
+        self.detail_in = nn.Conv2d(DETAIL_INPUTS, config.detail, 3, padding=1)
+        self.detail_up = nn.Conv2d(w[0], config.detail, 1, bias=False)
+        self.detail_mid = conv3x3(config.detail)
+        self.detail_out = nn.Conv2d(config.detail, EMBEDDING, 3, padding=1)
         self.initialise()
 
     def initialise(self) -> None:
@@ -142,6 +147,7 @@ class QuellNet(nn.Module):
                 if level == 0:
                     own[group_planes(0) - 1] = 2.0  # importance: sigmoid(2) = 0.88
         nn.init.zeros_(self.detail_out.weight)
+        nn.init.zeros_(self.detail_up.weight)
         nn.init.zeros_(self.guides.weight)
         for dimension, plane, gain in [(0, 3, 3.0), (1, 4, 3.0), (2, 5, 3.0), (3, 0, 4.0), (4, 1, 4.0), (5, 2, 4.0),
                                        (6, 6, 6.0), (7, 7, 4.0)]:  # fmt: skip
@@ -156,8 +162,9 @@ class QuellNet(nn.Module):
                 for x in range(2):
                     table.data[:, 2 * y + x] = (tent[y][:, None] * tent[x][None]).flatten().log()
 
-    def forward(self, features: Tensor, flags: Tensor) -> list[Head]:
-        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level."""
+    def forward(self, features: Tensor, flags: Tensor) -> tuple[list[Head], Tensor]:
+        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level, and the share of the embedding that
+        is made at full resolution [n,e,h,w], float32."""
         x = F.relu(self.stem(features) + self.flags(flags)[:, :, None, None])
         skips = []
         for level in range(4):
@@ -174,13 +181,20 @@ class QuellNet(nn.Module):
             levels[level + 1] = x
         planes = [F.pixel_shuffle(self.heads[0](levels[1]), 2)]
         planes += [self.heads[level](levels[level]) for level in range(1, LEVELS)]
-        return [split_head(x.float(), level) for level, x in enumerate(planes)]
+        heads = [split_head(x.float(), level) for level, x in enumerate(planes)]
+        return heads, self.detail(features, levels[1])
 
-    def embeddings(self, features: Tensor, heads: list[Head]) -> list[Tensor]:
-        """By level [n,e,h,w]: the share at full resolution, passed down by means of 2x2, plus the heads'."""
+    def detail(self, features: Tensor, finest: Tensor) -> Tensor:
+        """finest [n,w0,h/2,w/2]: the U-Net's, which knows what lies around."""
         guides = features[:, GUIDE_PLANES]
-        detail = torch.cat([guides, features[:, DETAIL_PLANES], features[:, :3].mean(1, keepdim=True)], 1)
-        passed = self.guides(guides).float() + self.detail_out(F.relu(self.detail_in(detail))).float()
+        seen = torch.cat([guides, features[:, DETAIL_PLANES], features[:, :3].mean(1, keepdim=True)], 1)
+        around = F.interpolate(self.detail_up(finest), scale_factor=2, mode="nearest")
+        x = F.relu(self.detail_in(seen) + around)
+        x = F.relu(self.detail_mid(x))
+        return self.guides(guides).float() + self.detail_out(x).float()
+
+    def embeddings(self, passed: Tensor, heads: list[Head]) -> list[Tensor]:
+        """By level [n,e,h,w]: the share at full resolution, passed down by means of 2x2, plus the heads'."""
         out = []
         for head in heads:
             out.append(passed + head.embedding)
@@ -236,11 +250,11 @@ def filter_layers(
 
     inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside.
     with_direct False: Combined is not filtered by itself where there is light to sum it from."""
-    heads = net(features.planes, features.flags)
+    heads, detail = net(features.planes, features.flags)
     n = layers.beauty.shape[0]
     if inside is None:
         inside = torch.ones_like(layers.beauty[:, :1])
-    embeddings = net.embeddings(features.planes, heads)
+    embeddings = net.embeddings(detail, heads)
     # Items: Combined of every image, then the light passes that are not black.
     num_direct = n if with_direct or layers.light is None else 0
     image, group = torch.arange(num_direct), torch.zeros(num_direct, dtype=torch.long)
@@ -297,7 +311,8 @@ class Quell(nn.Module):
 def multiply_adds(config: QuellConfig, groups: int, narrow_groups: int) -> float:
     """Multiply-adds of the convolutions per image pixel, when so many groups of layers are filtered."""
     w, per = config.widths, (1 / 4, 1 / 16, 1 / 64, 1 / 256)
-    total = NUM_FEATURES * w[0] * 4 * per[0] + 9 * DETAIL * (DETAIL + EMBEDDING)
+    total = NUM_FEATURES * w[0] * 4 * per[0] + w[0] * config.detail * per[0]
+    total += 9 * config.detail * (DETAIL_INPUTS + config.detail + EMBEDDING)
     for i in range(4):
         total += config.down_convs[i] * 9 * w[i] ** 2 * per[i]
         total += EMBEDDING * w[i] * per[i]
