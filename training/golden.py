@@ -51,11 +51,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     torch.manual_seed(5)
-    config = QuellConfig(widths=(16, 32, 16, 48), down_convs=(1, 2, 1, 2), up_convs=(1, 1, 2))
+    config = QuellConfig(widths=(16, 32, 16, 48), down_convs=(1, 2, 1, 2), up_convs=(1, 1, 2), detail=32)
     model = Quell(config)
     for head in model.net.heads:
         torch.nn.init.normal_(head.weight, std=0.1)
-    torch.nn.init.normal_(model.net.detail_out.weight, std=0.1)
+    for conv in (model.net.detail_out, model.net.detail_up):
+        torch.nn.init.normal_(conv.weight, std=0.1)
     for table in (*model.net.filter_table, *model.net.up_table, model.net.narrow_table):
         torch.nn.init.normal_(table)
     model = round_to_half(model)

@@ -19,8 +19,10 @@ def grow(model: Quell, config: QuellConfig) -> Quell:
     old = model.net.config
     if (old.down_convs, old.up_convs) != (config.down_convs, config.up_convs):
         raise ValueError("a network grows in width alone: the numbers of convolutions differ")
-    if any(a > b for a, b in zip(old.widths, config.widths, strict=True)):
-        raise ValueError(f"a network of widths {old.widths} does not grow into {config.widths}")
+    if any(a > b for a, b in zip((*old.widths, old.detail), (*config.widths, config.detail), strict=True)):
+        raise ValueError(
+            f"a network of widths {old.widths}, {old.detail} does not grow into {config.widths}, {config.detail}"
+        )
     wide = Quell(config)
     narrow = model.state_dict()
     wide.load_state_dict({name: widen(name, narrow[name], value) for name, value in wide.state_dict().items()})

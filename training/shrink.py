@@ -37,7 +37,7 @@ def channel_sets(net: QuellNet) -> list[list[Channels]]:
                 else:
                     own.append(Channels(made, [conv]))
                 made = [conv]
-        heads = [net.heads[level + 1], *([net.heads[0]] if level == 0 else [])]
+        heads = [net.heads[level + 1], *([net.heads[0], net.detail_up] if level == 0 else [])]
         own.append(Channels(made, [*heads, *([net.up[level - 1]] if level > 0 else [])]))
         out.append(own)
     return out
@@ -57,12 +57,15 @@ def keep_largest(channels: Channels, num: int) -> Tensor:
 
 
 def shrink(model: Quell, config: QuellConfig) -> Quell:
-    """A network of `config`'s widths, none above the model's, with the same numbers of convolutions."""
+    """A network of `config`'s widths, none above the model's, with the same numbers of convolutions and as wide at full
+    resolution."""
     old = model.net.config
     if (old.down_convs, old.up_convs) != (config.down_convs, config.up_convs):
         raise ValueError("a network shrinks in width alone: the numbers of convolutions differ")
-    if any(a < b for a, b in zip(old.widths, config.widths, strict=True)):
-        raise ValueError(f"a network of widths {old.widths} does not shrink into {config.widths}")
+    if any(a < b for a, b in zip(old.widths, config.widths, strict=True)) or old.detail != config.detail:
+        raise ValueError(
+            f"a network of widths {old.widths}, {old.detail} does not shrink into {config.widths}, {config.detail}"
+        )
     kept_out: dict[nn.Module, Tensor] = {}
     kept_in: dict[nn.Module, Tensor] = {}
     for level, sets in enumerate(channel_sets(model.net)):

@@ -8,6 +8,7 @@
 #include "filter/narrow.h"
 #include "filter/pyramid.h"
 #include "frame/roles.h"
+#include "models/quell_detail.h"
 #include "models/quell_stem.h"
 #include "models/quell_window.h"
 
@@ -674,7 +675,8 @@ uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height
 {
     const uint32_t image_width = job->frame->width;
     const uint64_t features =
-        num_workers * sizeof(float) * feature_scratch_floats(image_width) + ql_net_stem_bytes(width, num_workers);
+        num_workers * sizeof(float) * feature_scratch_floats(image_width) + ql_net_stem_bytes(width, num_workers) +
+        ql_net_detail_bytes(job->net, width, num_workers);
     const uint64_t network = ql_net_peak_bytes(job->net, width, height, num_workers) + features;
     const uint64_t wide = strip_width + 2 * (uint64_t)QL_PYRAMID_REACH;
     const uint32_t columns = wide < width ? (uint32_t)wide : width;

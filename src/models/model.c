@@ -29,7 +29,7 @@ struct ql_model {
 
 static quell_status load_network(ql_model *model, const char *kind, const ql_weights *weights, ql_error *err)
 {
-    static const char *const kinds[NUM_FAMILIES] = {"quell-3", "dgan-kpn-1"};
+    static const char *const kinds[NUM_FAMILIES] = {"quell-4", "dgan-kpn-1"};
     model->family = 0;
     while (model->family < NUM_FAMILIES && strcmp(kind, kinds[model->family]) != 0) ++model->family;
     if (model->family == FAMILY_QUELL) return ql_net_load(&model->net, weights, &model->memory, err);

@@ -2,6 +2,7 @@
 /* The U-Net and its heads. Knows maps and planes, no layers of a frame. */
 #include "models/quell_net.h"
 
+#include "models/quell_detail.h"
 #include "models/quell_stem.h"
 #include "models/quell_window.h"
 
@@ -70,8 +71,11 @@ static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory
         QL_TRY(load_head(net, weights, 0, first, narrow, &net->head_narrow[g], memory, err));
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
         QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
-    QL_TRY(ql_conv_load(&net->detail_in, weights, "detail_in", 3, QL_NET_DETAIL, QL_NET_DETAIL, NULL, 0, memory, err));
-    QL_TRY(ql_conv_load(&net->detail_out, weights, "detail_out", 3, QL_NET_DETAIL, QL_NET_DIMS, NULL, 0, memory, err));
+    const uint32_t n = net->detail;
+    QL_TRY(ql_conv_load(&net->detail_in, weights, "detail_in", 3, QL_NET_DETAIL_INPUTS, n, NULL, 0, memory, err));
+    QL_TRY(ql_conv_load(&net->detail_up, weights, "detail_up", 1, net->widths[0], n, NULL, 0, memory, err));
+    QL_TRY(ql_conv_load(&net->detail_mid, weights, "detail_mid", 3, n, n, NULL, 0, memory, err));
+    QL_TRY(ql_conv_load(&net->detail_out, weights, "detail_out", 3, n, QL_NET_DIMS, NULL, 0, memory, err));
     return ql_conv_load(&net->guides, weights, "guides", 1, QL_NUM_GUIDES, QL_NET_DIMS, NULL, 0, memory, err);
 }
 
@@ -125,14 +129,19 @@ static quell_status load_body(ql_net *net, const ql_weights *weights, ql_memory 
 
 static quell_status read_shape(ql_net *net, const ql_weights *weights, ql_error *err)
 {
-    int32_t widths[QL_NET_LEVELS], down[QL_NET_LEVELS], up[QL_NET_LEVELS - 1], inputs[2];
+    int32_t widths[QL_NET_LEVELS], down[QL_NET_LEVELS], up[QL_NET_LEVELS - 1], detail, inputs[2];
     QL_TRY(ql_weights_get_ints(weights, "config.widths", widths, QL_NET_LEVELS, err));
     QL_TRY(ql_weights_get_ints(weights, "config.down_convs", down, QL_NET_LEVELS, err));
     QL_TRY(ql_weights_get_ints(weights, "config.up_convs", up, QL_NET_LEVELS - 1, err));
+    QL_TRY(ql_weights_get_ints(weights, "config.detail", &detail, 1, err));
     QL_TRY(ql_weights_get_ints(weights, "config.inputs", inputs, 2, err));
     if (inputs[0] != QL_NUM_FEATURES || inputs[1] != QL_NUM_FLAGS)
         return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: the network takes %d features, this library makes %d",
                        weights->origin, inputs[0], QL_NUM_FEATURES);
+    if (detail < QL_BLOCK || detail > 256 || detail % QL_BLOCK != 0)
+        return ql_fail(err, QUELL_ERR_BAD_MODEL, "%s: a network of %d channels at full resolution is none that this "
+                       "library runs", weights->origin, detail);
+    net->detail = (uint32_t)detail;
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const int32_t convs = l + 1 < QL_NET_LEVELS ? up[l] : 1;
         if (widths[l] < QL_BLOCK || widths[l] > 1024 || widths[l] % QL_BLOCK != 0 || down[l] < 1 ||
@@ -181,6 +190,8 @@ void ql_net_free(ql_net *net, ql_memory *memory)
     for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g) ql_conv_free(&net->head_narrow[g], memory);
     ql_conv_free(&net->guides, memory);
     ql_conv_free(&net->detail_in, memory);
+    ql_conv_free(&net->detail_up, memory);
+    ql_conv_free(&net->detail_mid, memory);
     ql_conv_free(&net->detail_out, memory);
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l) {
         ql_conv_free(&net->embedding[l], memory);
@@ -195,7 +206,8 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t nu
 {
     static const double per[QL_NET_LEVELS] = {1.0 / 4, 1.0 / 16, 1.0 / 64, 1.0 / 256};
     double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = (double)FINE_FIELDS * net->widths[0];
-    total += QL_NET_DIMS * (double)(net->widths[0] + QL_NUM_GUIDES) + 9.0 * QL_NET_DETAIL * (QL_NET_DETAIL + QL_NET_DIMS);
+    total += QL_NET_DIMS * (double)(net->widths[0] + QL_NUM_GUIDES) + per[0] * net->widths[0] * net->detail +
+             9.0 * net->detail * (QL_NET_DETAIL_INPUTS + net->detail + QL_NET_DIMS);
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const double w = net->widths[l];
         total += (9.0 * w * w * net->down_convs[l] + QL_NET_DIMS * w) * per[l];
@@ -210,7 +222,7 @@ uint32_t ql_net_reach(const ql_net *net)
 {
     /* A 3x3 convolution at 1/2^(l+1) reaches one of its pixels further; a stride or an upsampling adds less than one
      * pixel of the coarser level, once on the way down and once on the way up. */
-    uint32_t reach = 2; /* of the two convolutions at full resolution */
+    uint32_t reach = 2; /* of the two convolutions at full resolution that follow the U-Net */
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         const uint32_t convs = net->down_convs[l] + (l + 1 < QL_NET_LEVELS ? net->up_convs[l] : 0);
         reach += (convs + 1) << (l + 1);
@@ -234,8 +246,7 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
     memset(maps, 0, sizeof *maps);
     ql_map *const m = maps->level;
     QL_TRY(ql_map_create(&m[0], width / 2, height / 2, net->widths[0], env->memory, err));
-    QL_TRY(ql_planes_create(&maps->embedding, width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
-    QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, maps, err));
+    QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, &m[0], err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
             QL_TRY(ql_conv_relu_in_place(&net->encoder[l][i], kernels, env, &m[l], err));
@@ -246,6 +257,8 @@ quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *en
         for (uint32_t i = 0; i < net->up_convs[l]; ++i)
             QL_TRY(ql_conv_relu_in_place(&net->decoder[l][i], kernels, env, &m[l], err));
     }
+    QL_TRY(ql_planes_create(&maps->embedding, width, height, QL_NET_DIMS, QL_NET_MARGIN, env->memory, err));
+    QL_TRY(ql_net_detail(net, kernels, env, source, user, maps, err));
     return ql_net_embed(net, kernels, env, maps, err);
 }
 

@@ -14,7 +14,7 @@ enum {
     QL_NET_MAX_CONVS = 4,  /* 3x3 convolutions of a level, one way */
     QL_NET_DIMS = 10,      /* of the embedding */
     QL_NET_MARGIN = 2,     /* of its planes */
-    QL_NET_DETAIL = 16,    /* channels of the convolutions at full resolution */
+    QL_NET_DETAIL_INPUTS = 16, /* channels that the convolutions at full resolution see */
     QL_FILTER_TAPS = 25,
     QL_UP_TAPS = 9
 };
@@ -36,13 +36,14 @@ enum {
 typedef struct ql_net {
     uint32_t widths[QL_NET_LEVELS];
     uint32_t down_convs[QL_NET_LEVELS], up_convs[QL_NET_LEVELS - 1];
+    uint32_t detail; /* channels of the convolutions at full resolution */
     ql_conv stem;
     float *flags; /* [QL_NUM_FLAGS][widths[0]] */
     ql_conv down[QL_NET_LEVELS - 1], up[QL_NET_LEVELS - 1];
     ql_conv encoder[QL_NET_LEVELS][QL_NET_MAX_CONVS], decoder[QL_NET_LEVELS - 1][QL_NET_MAX_CONVS];
     ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS], head_narrow[QL_NET_NARROW_GROUPS];
     ql_conv head[QL_NET_GROUPS][QL_NET_LEVELS]; /* sharpness, centre, blend, partition; at 1/16 the first two */
-    ql_conv guides, detail_in, detail_out;      /* the embedding's share at full resolution */
+    ql_conv guides, detail_in, detail_up, detail_mid, detail_out; /* the embedding's share at full resolution */
     ql_conv embedding[QL_NET_LEVELS + 1];       /* the body's share of it */
     float *filter_table[QL_NET_LEVELS + 1];     /* [QL_NET_GROUPS][QL_FILTER_TAPS] */
     float *up_table[QL_NET_LEVELS];             /* [QL_NET_GROUPS][2][2][QL_UP_TAPS] */

@@ -4,9 +4,9 @@
     python -m training.dgan.runs                 # all of them: about a quarter of an hour of one core
     python -m training.dgan.runs --only kpn,generator
 
-The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. A quarter of an hour of one core allows 6 to 30
-epochs of 64x64 crops of the frames at hand, so the rate is raised with the shortening: 1e-3 for kernel predictors, 5e-4
-for the generator and its discriminators, 3e-4 in phase 2.
+The paper trains 200 epochs at a fixed rate of 1e-4 and decays linearly after. A quarter of an hour of one core allows
+6 to 30 epochs of 64x64 crops of the frames at hand, so the rate is raised with the shortening: 1e-3 for kernel
+predictors, 5e-4 for the generator and its discriminators, 3e-4 in phase 2.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -199,9 +200,10 @@ def train(name: str, config: TrainConfig, origin: list[str], minutes: float, fra
     while step < config.steps and time.monotonic() - start < 60 * minutes:
         value = trainer.step(next(source), step)
         step += 1
-        average = value if average is None else 0.98 * average + 0.02 * value
+        if math.isfinite(value):  # a step that is not was not taken
+            average = value if average is None else 0.98 * average + 0.02 * value
         if step % LOG_STEPS == 0:
-            line = f"{step},{average:.6f},{rate_at(step, config):.3e},{(time.monotonic() - start) / 60:.2f}"
+            line = f"{step},{average or math.nan:.6f},{rate_at(step, config):.3e},{(time.monotonic() - start) / 60:.2f}"
             with (folder / "log.csv").open("a") as log:
                 log.write(line + "\n")
             print(line, flush=True)

@@ -47,8 +47,8 @@ def head_planes(level: int) -> int:
 
 @dataclass(frozen=True)
 class QuellConfig:
-    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, how many 3x3 convolutions each level has, down and up, and the width at
-    full resolution."""
+    """Widths of the U-Net at 1/2, 1/4, 1/8, 1/16, and how many 3x3 convolutions each level has, down and up; the width
+    at full resolution."""
 
     widths: tuple[int, int, int, int] = (48, 64, 80, 96)
     down_convs: tuple[int, int, int, int] = (1, 1, 1, 2)
@@ -163,8 +163,8 @@ class QuellNet(nn.Module):
                     table.data[:, 2 * y + x] = (tent[y][:, None] * tent[x][None]).flatten().log()
 
     def forward(self, features: Tensor, flags: Tensor) -> tuple[list[Head], Tensor]:
-        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level, and the share of the embedding that
-        is made at full resolution [n,e,h,w], float32."""
+        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level, and the embedding's share that is
+        made at full resolution [n,e,h,w], float32."""
         x = F.relu(self.stem(features) + self.flags(flags)[:, :, None, None])
         skips = []
         for level in range(4):
