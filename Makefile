@@ -420,6 +420,11 @@ test-long: test stress
 stress: $(OUT)/tests/stress/test_stress
 	$(Q)QUELL_STRESS=all $<
 
+## stability: samples with something wrong put into them, beside Open Image Denoise: docs/stability.md (ten minutes)
+stability: deps-bench
+	$(Q)+$(SUBMAKE) all $(VENV)/stamp-bench
+	$(Q)$(PYTHON) bench/stability.py --build $(OUT)
+
 ## asan: the C tests, and the tool's, under the address sanitizer
 asan: SANITIZER := address
 ## ubsan: the same under the undefined-behaviour sanitizer
@@ -580,7 +585,7 @@ distclean:
 help:
 	@sed -n 's/^## \([^:]*\): /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 34
 
-.PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress asan ubsan tsan qemu cross-check demo benches bench bench-peers \
+.PHONY: types ablation all lib cli wheel addon c-tests run-c-tests check test test-long stress stability asan ubsan tsan qemu cross-check demo benches bench bench-peers \
 	bench-quick bench-blender deps-demo deps-test deps-bench deps-blender test-blender test-blender-all install dist format lint syntax \
 	clean distclean windows linux-arm64 dist-windows windows-zip test-windows test-arm64 deps-windows deps-arm64 help FORCE
 .SECONDARY:

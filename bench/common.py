@@ -49,6 +49,7 @@ class Ended:
     """A process that has ended well."""
 
     seconds: float  # wall clock, from start to end
+    processor_seconds: float  # of all its threads, system calls included
     resident_mb: float
     stdout: str
 
@@ -63,7 +64,7 @@ def timed_process(command: list[object]) -> Ended:
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
         sys.exit(f"{command[0]} failed with {process.returncode}")
-    return Ended(seconds, usage.ru_maxrss / 1024, text)
+    return Ended(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, text)
 
 
 def interleaved(jobs: dict[str, Callable[[], float]], runs: int) -> dict[str, list[float]]:

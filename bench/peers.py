@@ -11,6 +11,7 @@ what disturbs the machine disturbs all alike. One CSV for each section:
     time        seconds at 1920x1080, memory to memory, by threads
     layers      seconds by number of layers, 1 to 20
     resolution  seconds and peak memory by size, 480p to 8K, each in a process of its own
+    skip        what looking for something to skip costs and saves, beside --no-skip
     job         EXR to EXR with its stages, beside oiiotool reading and writing the same file
 
 bench/report.py makes docs/benchmarks.md and its plots of them.
@@ -27,13 +28,15 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench import methods, pictures
 from bench.common import ROOT, SIZES, interleaved, machine_name, median, revision, slug, timed_process, write_csv
 from bench.errors import MEASURES
 
-SECTIONS = ["error", "time", "layers", "resolution", "job"]
+SECTIONS = ["error", "time", "layers", "resolution", "skip", "job"]
 TIMED_SCENE, TIMED_SPP = "living_room", 4  # all light passes; repeated to the size that is timed
 MEBI = 2**20
 
@@ -49,6 +52,7 @@ class Plan:
     layers: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20)
     peer_layers: tuple[int, ...] = (1, 2, 5)  # of one node each; the cost of more is a straight line
     sizes: tuple[str, ...] = tuple(SIZES)
+    skip_size: str = "480p"
     job_sizes: tuple[str, ...] = ("480p", "1080p", "4K")
     job_layers: tuple[int, ...] = (1, 4, 10)
     max_macs: float = 4e12  # a run of a peer that would need more is left out: minutes, and gigabytes
@@ -225,6 +229,58 @@ def peak_resident_mb() -> float:
     sys.exit("/proc/self/status has no VmHWM: peak memory can be measured on Linux alone")
 
 
+def skip_cases(width: int, height: int) -> dict[str, tuple[dict[str, np.ndarray], int]]:
+    """Passes and samples of pictures with more and more to skip."""
+    sample = next(s for s in pictures.list_samples(ROOT / "samples") if (s.scene, s.spp) == (TIMED_SCENE, TIMED_SPP))
+    noisy = pictures.read_passes(sample.path)
+    light = {name: pixels for name, pixels in noisy.items() if np.any(pixels)}
+    centred = {
+        name: np.pad(
+            pixels,
+            ((height // 4, height - height // 2 - height // 4), (width // 4, width - width // 2 - width // 4), (0, 0)),
+        )
+        for name, pixels in pictures.repeat_to(noisy, width // 2, height // 2).items()
+    }
+    return {
+        "nothing to skip: a noisy picture": (pictures.repeat_to(light, width, height), TIMED_SPP),
+        "passes that are black": (pictures.repeat_to(noisy, width, height), TIMED_SPP),
+        "an empty film round a quarter of the frame": (centred, TIMED_SPP),
+        "a finished render": (pictures.repeat_to(pictures.read_passes(sample.references[0]), width, height), 2048),
+    }
+
+
+def measure_skip(bench: Bench) -> list[dict[str, object]]:
+    """Processor time of whole jobs without compression, with and without --no-skip in turns. On a machine that does
+    other things too, the wall clock says more about those."""
+    width, height = SIZES[bench.plan.skip_size]
+    path, out, report = (bench.work / name for name in ("skip.exr", "skipped.exr", "report.json"))
+    rows = []
+    for case, (passes, samples) in skip_cases(width, height).items():
+        say(f"skip: {case}")
+        pictures.write_passes(path, passes, samples)
+        summaries: dict[tuple[str, ...], dict] = {}
+
+        def denoise(*flags: str, summaries: dict[tuple[str, ...], dict] = summaries) -> float:
+            command = [bench.quell, "denoise", path, "-q", "-o", out, "--report", report, "--threads", bench.threads]
+            ended = timed_process([*command, *flags])
+            summaries[flags] = json.loads(report.read_text())["files"][0]
+            return ended.processor_seconds
+
+        taken = interleaved({"default": denoise, "no_skip": lambda: denoise("--no-skip")}, bench.plan.runs)
+        summary = summaries[()]["summary"]
+        skipped = sum(layer["action"] == "skip" for layer in summaries[()]["layers"])
+        row = bench.facts() | {"case": case, "width": width, "height": height, "threads": bench.threads}
+        row |= {"cells": summary["cells"], "active_cells": summary["active_cells"], "layers_skipped": skipped}
+        # What disturbs a process only ever adds: the least is what it needs by itself.
+        row |= {f"{name}_cpu_s": min(seconds) for name, seconds in taken.items()}
+        pairs = [a / b for a, b in zip(taken["default"], taken["no_skip"], strict=True)]
+        row |= {"ratio": row["default_cpu_s"] / row["no_skip_cpu_s"], "pairs": median(pairs)}
+        rows.append(row | {"ratio_min": min(pairs), "ratio_max": max(pairs), "runs": len(pairs)})
+    path.unlink()
+    out.unlink()
+    return rows
+
+
 def measure_job(bench: Bench) -> list[dict[str, object]]:
     import quell
 
@@ -319,6 +375,7 @@ def main() -> int:
         "time": measure_time,
         "layers": measure_layers,
         "resolution": measure_resolution,
+        "skip": measure_skip,
         "job": measure_job,
     }
     for section in SECTIONS:

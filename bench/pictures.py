@@ -127,3 +127,18 @@ def write_exr(path: Path, width: int, height: int, passes: list[str]) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, channels) as file:
         file.write(str(path))
+
+
+def write_passes(path: Path, passes: dict[str, np.ndarray], samples: int) -> None:
+    """A single-part multilayer file as Cycles writes it, without compression: what a program spends on it is its
+    own."""
+    import OpenEXR
+
+    channels = {}
+    for name, pixels in passes.items():
+        letters = "Z" if pixels.shape[2] == 1 else "XYZ" if name == "Denoising Normal" else "RGBA"
+        for index in range(pixels.shape[2]):
+            channels[f"ViewLayer.{name}.{letters[index]}"] = np.ascontiguousarray(pixels[..., index].astype(np.float16))
+    header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header | {"cycles.ViewLayer.samples": str(samples)}, channels) as file:
+        file.write(str(path))

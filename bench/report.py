@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bench.common import ROOT
 from bench.summary import Results, is_ours
 
+TIMED = "samples/living_room"
 HIGH_FAST, HIGH_ACCURATE, PER_PASS = "OIDN High/Fast", "OIDN High/Accurate", "OIDN High/Accurate per light pass"
 
 
@@ -240,6 +241,36 @@ denoised: Combined, then light passes and colours.
 {picture(out, "bench-job.png", "Stages of whole jobs beside a plain copy")}"""
 
 
+def percent(ratio: str) -> str:
+    return f"{100 * (float(ratio) - 1):+.1f} %"
+
+
+def skip_section(results: Results) -> str:
+    rows = [
+        [
+            row["case"],
+            row["layers_skipped"],
+            f"{int(row['active_cells'])} of {int(row['cells'])}",
+            number(float(row["no_skip_cpu_s"])),
+            number(float(row["default_cpu_s"])),
+            percent(row["ratio"]),
+            f"{percent(row['pairs'])} ({percent(row['ratio_min'])} to {percent(row['ratio_max'])})",
+        ]
+        for row in results.rows("skip")
+    ]
+    first = results.rows("skip")[0]
+    head = ["picture", "layers skipped", "cells computed", "`--no-skip` s", "s", "difference", "of single pairs"]
+    return f"""
+## What skipping costs and saves
+
+Whole jobs at {first["width"]}x{first["height"]}, `{TIMED}` repeated to that size, without compression;
+{first["runs"]} pairs of runs with and without `--no-skip` that took turns. Seconds are processor time of all threads,
+system calls included, the least of the runs: what disturbs a process only ever adds to it. The last column is the
+median of the pairs, and their range.
+
+{table(head, rows)}"""
+
+
 def aims_section(results: Results) -> str:
     """What was asked for, and what is."""
     rows: list[list[object]] = []
@@ -281,6 +312,8 @@ def aims_section(results: Results) -> str:
     for job in results.jobs():
         if job["size"] == "1080p" and job["oiiotool_s"]:
             compare(f"whole job, {job['name']}: seconds over oiiotool's", 1.2, job["whole_s"] / job["oiiotool_s"])
+    for row in results.rows("skip")[:1]:
+        compare(f"skipping, {row['case']}: processor time over `--no-skip`", 1.01, float(row["ratio"]))
     for job in results.jobs():
         limit = {"1080p": 400.0, "4K": 1200.0}.get(job["size"])
         if limit:
@@ -313,6 +346,8 @@ def write(results: Results, out: Path) -> None:
     if results.rows("resolution"):
         text += resolution_section(results, out)
         plots.plot_resolution(results, images / "bench-resolution.png")
+    if results.rows("skip"):
+        text += skip_section(results)
     if results.rows("job"):
         text += job_section(results, out)
         plots.plot_job(results, images / "bench-job.png")

@@ -3,6 +3,7 @@
 #include "denoise/denoise.h"
 
 #include "base/clock.h"
+#include "denoise/closure.h"
 #include "denoise/debug_layers.h"
 #include "denoise/dgan.h"
 #include "denoise/region.h"
@@ -93,82 +94,11 @@ static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
     return QUELL_OK;
 }
 
-/* Mean of |sum of passes - Combined| relative to Combined, for the plan; fixed order of summation, one thread per row
- * band is not worth it: it reads what the scan has just read. */
-typedef struct closure_job {
-    const work *w;
-    const ql_plan_set *set;
-    float *scratch;
-    size_t scratch_floats;
-    double *sums; /* [height][3]: without Environment, with it, Combined */
-} closure_job;
-
-static void closure_task(void *user, uint32_t task, uint32_t worker)
-{
-    const closure_job *const job = user;
-    const ql_frame *const frame = job->w->frame;
-    const uint32_t width = frame->width;
-    float *const base = job->scratch + worker * job->scratch_floats;
-    float *rows[15];
-    for (uint32_t i = 0; i < 15; ++i) rows[i] = base + (size_t)i * width;
-    const ql_layer *const combined = &frame->layers[job->set->beauty];
-    const int32_t *const role = job->set->role_layer;
-    for (uint32_t c = 0; c < 3; ++c) {
-        ql_layer_read_row(combined, width, c, task, rows[c]);
-        memset(rows[3 + c], 0, width * sizeof *rows[0]);
-    }
-    for (int32_t r = QUELL_ROLE_DIFFUSE_DIRECT; r <= QUELL_ROLE_TRANSMISSION_DIRECT; r += 3) {
-        for (uint32_t c = 0; c < 3; ++c) {
-            for (int32_t i = 0; i < 3; ++i) ql_layer_read_row(&frame->layers[role[r + i]], width, c, task, rows[6 + i]);
-            for (uint32_t x = 0; x < width; ++x) rows[3 + c][x] += (rows[6][x] + rows[7][x]) * rows[8][x];
-        }
-    }
-    for (int32_t r = QUELL_ROLE_VOLUME_DIRECT; r <= QUELL_ROLE_EMISSION; ++r) {
-        if (role[r] == QL_PLAN_NONE) continue;
-        for (uint32_t c = 0; c < 3; ++c) {
-            ql_layer_read_row(&frame->layers[role[r]], width, c, task, rows[6]);
-            for (uint32_t x = 0; x < width; ++x) rows[3 + c][x] += rows[6][x];
-        }
-    }
-    double *const sums = job->sums + 3 * (size_t)task;
-    sums[0] = sums[1] = sums[2] = 0.0;
-    for (uint32_t c = 0; c < 3; ++c) {
-        if (role[QUELL_ROLE_ENVIRONMENT] != QL_PLAN_NONE)
-            ql_layer_read_row(&frame->layers[role[QUELL_ROLE_ENVIRONMENT]], width, c, task, rows[6]);
-        else
-            memset(rows[6], 0, width * sizeof *rows[6]);
-        for (uint32_t x = 0; x < width; ++x) {
-            const float value = rows[c][x], without = fabsf(rows[3 + c][x] - value);
-            const float with = fabsf(rows[3 + c][x] + rows[6][x] - value);
-            /* Half floats end at 65504, where sums no longer tell; bad pixels tell nothing. */
-            if (!isfinite(without) || !isfinite(with) || fabsf(value) > 6e4f) continue;
-            sums[0] += (double)without;
-            sums[1] += (double)with;
-            sums[2] += (double)fabsf(value);
-        }
-    }
-}
-
 static quell_status choose_combined(work *w, uint32_t set_index, ql_error *err)
 {
     const ql_plan_set *const set = &w->plan.sets[set_index];
     double closure[2] = {INFINITY, INFINITY};
-    if (set->has_light) {
-        closure_job job = {.w = w, .set = set, .scratch_floats = 15 * (size_t)w->frame->width};
-        job.scratch = ql_alloc(w->env->memory, ql_pool_num_threads(w->env->pool), job.scratch_floats * sizeof(float));
-        job.sums = ql_alloc(w->env->memory, w->frame->height, 3 * sizeof *job.sums);
-        quell_status status = QUELL_OK;
-        if (job.scratch == NULL || job.sums == NULL)
-            status = ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of passes");
-        else
-            status = ql_env_run(w->env, w->frame->height, closure_task, &job);
-        double sums[3] = {0.0, 0.0, 0.0};
-        for (size_t i = 0; status == QUELL_OK && i < 3 * (size_t)w->frame->height; ++i) sums[i % 3] += job.sums[i];
-        ql_free(w->env->memory, job.scratch);
-        ql_free(w->env->memory, job.sums);
-        QL_TRY(status);
-        for (int i = 0; i < 2; ++i) closure[i] = sums[2] > 0.0 ? sums[i] / sums[2] : sums[i] > 0.0 ? INFINITY : 0.0;
-    }
+    if (set->has_light) QL_TRY(ql_measure_closure(w->env, w->frame, w->scans, set, closure, err));
     ql_plan_choose_combined(&w->plan, set_index, closure);
     return QUELL_OK;
 }
@@ -249,7 +179,7 @@ static int try_tiles(work *w, uint32_t tile_width, uint32_t tile_height, uint64_
 static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memory_bytes, ql_error *err)
 {
     const uint64_t used = atomic_load(&w->env->memory->used_bytes);
-    const uint64_t wanted = MODEST_BYTES + MODEST_BYTES_PER_PIXEL * (uint64_t)w->frame->width * w->frame->height;
+    const uint64_t modest = MODEST_BYTES + MODEST_BYTES_PER_PIXEL * (uint64_t)w->frame->width * w->frame->height;
     const uint64_t left = max_memory_bytes > used ? max_memory_bytes - used : 0;
     w->halo = ql_region_halo(w->job.net);
     uint32_t tw = align_up(w->frame->width, TILE_ALIGNMENT), th = align_up(w->frame->height, TILE_ALIGNMENT);
@@ -258,7 +188,13 @@ static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memor
         tw = tile < tw ? tile : tw;
         th = tile < th ? tile : th;
     }
-    const int fits = try_tiles(w, tw, th, wanted > used && wanted - used < left ? wanted - used : left);
+    /* A larger network is not cut to tiles for being larger: its filters may have an eighth more than itself. */
+    const uint64_t network =
+        ql_region_network_bytes(&w->job, region_edge(tw, w->halo, w->frame->width),
+                                region_edge(th, w->halo, w->frame->height), ql_pool_num_threads(w->env->pool));
+    uint64_t wanted = modest > used ? modest - used : 0;
+    if (wanted < network + network / 8) wanted = network + network / 8;
+    const int fits = try_tiles(w, tw, th, wanted < left ? wanted : left);
     w->planned_bytes += used;
     if (!fits)
         return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY,

@@ -35,8 +35,8 @@ typedef struct member {
     int32_t layer; /* whose result is written */
     const ql_layer *source;
     const ql_scan *scan;
-    float *result;         /* [channel][y][x] from pixel (x0, y0) on */
-    size_t plane, stride;  /* of the result, in floats */
+    float *result;        /* [channel][y][x] from pixel (x0, y0) on */
+    size_t plane, stride; /* of the result, in floats */
     uint32_t x0, y0;
     uint32_t num_channels; /* filtered: 3 colours, and alpha where it varies */
     uint32_t first_plane, weight_plane;
@@ -572,8 +572,7 @@ static quell_status run_filters(ql_job *job, ql_env *env, uint32_t set_index, co
     b.scratch = ql_alloc(env->memory, ql_pool_num_threads(env->pool), b.scratch_floats * sizeof *b.scratch);
     if (b.scratch == NULL) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: rows of layers");
     const double from = env->progress_from, to = env->progress_to;
-    quell_status status =
-        ql_region_divides(job->frame, job->plan, set_index) ? filter_albedo(&b, env, err) : QUELL_OK;
+    quell_status status = ql_region_divides(job->frame, job->plan, set_index) ? filter_albedo(&b, env, err) : QUELL_OK;
     for (uint32_t i = 0; i < QL_NUM_GROUPS + 1 && status == QUELL_OK; ++i) {
         b.group = order[i < QL_NUM_GROUPS ? i : QL_NUM_GROUPS - 1];
         b.color_role = QUELL_ROLE_OTHER;
@@ -670,21 +669,24 @@ static uint64_t divisor_bytes(const ql_job *job, uint32_t width, uint32_t height
     return 0;
 }
 
+uint64_t ql_region_network_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t num_workers)
+{
+    const uint64_t features = num_workers * sizeof(float) * feature_scratch_floats(job->frame->width) +
+                              ql_net_stem_bytes(width, num_workers) + ql_net_detail_bytes(job->net, width, num_workers);
+    return ql_net_peak_bytes(job->net, width, height, num_workers) + features;
+}
+
 uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t strip_width,
                               uint32_t num_workers)
 {
     const uint32_t image_width = job->frame->width;
-    const uint64_t features =
-        num_workers * sizeof(float) * feature_scratch_floats(image_width) + ql_net_stem_bytes(width, num_workers) +
-        ql_net_detail_bytes(job->net, width, num_workers);
-    const uint64_t network = ql_net_peak_bytes(job->net, width, height, num_workers) + features;
+    const uint64_t network = ql_region_network_bytes(job, width, height, num_workers);
     const uint64_t wide = strip_width + 2 * (uint64_t)QL_PYRAMID_REACH;
     const uint32_t columns = wide < width ? (uint32_t)wide : width;
     /* Maps stay while the filters run. */
     const uint64_t filters = ql_net_maps_bytes(job->net, width, height) +
                              ql_net_window_bytes(columns, height, num_workers) +
-                             batch_bytes(job, columns, height, num_workers) +
-                             divisor_bytes(job, columns, height) +
+                             batch_bytes(job, columns, height, num_workers) + divisor_bytes(job, columns, height) +
                              num_workers * sizeof(float) * batch_scratch_floats(image_width);
     return network > filters ? network : filters;
 }

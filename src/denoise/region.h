@@ -41,6 +41,9 @@ int ql_region_divides(const ql_frame *frame, const ql_plan *plan, uint32_t set);
 uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t strip_width,
                               uint32_t num_workers);
 
+/* The part of it that the network takes, however the filters are cut. */
+uint64_t ql_region_network_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t num_workers);
+
 /* Pixels round a tile that its results are made from; a multiple of 16. */
 uint32_t ql_region_halo(const ql_net *net);
 

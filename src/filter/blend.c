@@ -98,7 +98,11 @@ static void blend_task(void *user, uint32_t task, uint32_t worker)
             out[x] = w == 1.0f || valid[x] == 0.0f || !isfinite(rows[c][x]) ? out[x] : w == 0.0f ? rows[c][x] : mixed;
         }
     }
-    /* Limited fireflies come back at full strength where nothing is filtered at all. */
+    /* Limited fireflies come back at full strength where nothing may be filtered: a finished or clean image stays. Where
+     * the kernels only were not believed they stay limited. */
+    const int has_fixes = job->scan->row_start[task] < job->scan->row_start[task + 1];
+    if (!has_fixes || ql_blend_weight_row(blend->limit, blend->across, blend->down, job->width, task, raw, weight))
+        return;
     for (uint64_t i = job->scan->row_start[task]; i < job->scan->row_start[task + 1]; ++i) {
         const ql_fix *const fix = &job->scan->fixes[i];
         if (fix->scale <= 0.0f || weight[fix->x] != 0.0f) continue;

@@ -34,7 +34,7 @@ uint32_t ql_noise_blocks(uint32_t pixels)
 }
 
 /* A half to a quarter of the median block's brightness. A power of two found by counting exponents, so that radiance
- * times 2^n gives exactly 2^n times as much. Blocks with a firefly say nothing: the bins are means before any is limited. */
+ * times 2^n gives exactly 2^n times as much. Blocks with a firefly say nothing: what is left of it is still no part of the picture. */
 static float choose_floor(const ql_scan *scan, uint32_t across, uint8_t *has_firefly)
 {
     uint32_t counts[NUM_EXPONENTS] = {0};
@@ -78,10 +78,11 @@ static void read_luminance(const noise_job *job, uint32_t y, float *const *rows,
         }
         for (uint32_t x = 0; x < job->width; ++x) out[x] = rows[0][x] * share - out[x];
     }
-    /* A bad pixel is no noise: it takes its neighbour's value, and its change is none. */
+    /* A bad pixel is no noise: it takes its neighbour's value, and its change is none. That of a firefly is none either:
+     * what is left of it is no detail that kernels could lose. */
     for (uint64_t i = job->scan->row_start[y]; i < job->scan->row_start[y + 1]; ++i) {
         const uint32_t x = job->scan->fixes[i].x;
-        if (valid[x] == 0.0f) out[x] = job->result || x == 0 ? 0.0f : out[x - 1];
+        if (valid[x] == 0.0f || job->result) out[x] = job->result || x == 0 ? 0.0f : out[x - 1];
     }
 }
 

@@ -164,6 +164,10 @@ static void scan_task(void *user, uint32_t task, uint32_t worker)
         }
         find_fixes(job, y, luminance + (y - y0 + REACH) * stride, stride, job->emission ? emitted : NULL, b);
     }
+    /* Bins are of what will be filtered: one firefly must not move the exposure of the whole image. */
+    for (uint64_t i = 0; i < b->num_fixes; ++i)
+        if (b->fixes[i].scale > 0.0f)
+            luminance[(b->fixes[i].y - y0 + REACH) * stride + b->fixes[i].x] *= b->fixes[i].scale;
     if (job->bins) fill_bins(job, task, luminance + REACH * stride, stride, y1 - y0);
 }
 

@@ -22,7 +22,7 @@ typedef struct ql_scan {
     int32_t is_zero;     /* every value is 0 */
     int32_t is_constant; /* every pixel is the same */
     int32_t is_constant_alpha;
-    float *bins; /* means of 8x8 pixels' luminance, for ql_log_exponent; owned; NULL unless asked */
+    float *bins; /* means of 8x8 pixels' luminance after fixes, for ql_log_exponent; owned; NULL unless asked */
     size_t num_bins;
     uint64_t *row_start; /* [height + 1] into fixes; owned */
 } ql_scan;

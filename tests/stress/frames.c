@@ -156,6 +156,7 @@ static void read_report(const quell_report *report, const stress_frame *f, stres
     quell_report_summary summary = {.struct_size = sizeof summary};
     memset(out, 0, sizeof *out);
     if (quell_report_get_summary(report, &summary) != QUELL_OK) return;
+    out->halo = summary.halo;
     out->is_mixed = strcmp(summary.combined, "direct") != 0;
     for (uint32_t l = 0, i = 0; l < NUM_LAYERS; ++l) {
         quell_report_layer layer = {.struct_size = sizeof layer};

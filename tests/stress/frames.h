@@ -52,6 +52,7 @@ typedef struct stress_report {
     int32_t is_mixed; /* Combined is made from its parts too */
     uint64_t num_limited, num_bad;
     double mean_before, mean_after; /* Combined's */
+    uint32_t halo;                  /* that tiles are computed with; 0 for a single one */
 } stress_report;
 
 /* Denoises a copy of the frame; the result has its layers. Returns the status; *out is NULL on failure. */
