@@ -42,6 +42,7 @@ def denoise_frame(model: Quell, layers: Layers, guides: Guides, spp: int) -> Den
     """One frame [1,c,h,w] of any size. Outside the image features are 0 and values have no weight, as in C."""
     height, width = layers.beauty.shape[-2:]
     h, w = -(-height // ALIGNMENT) * ALIGNMENT, -(-width // ALIGNMENT) * ALIGNMENT
+    span = layers.beauty.min(), layers.beauty.max()
     layers = limit_layers(layers)
     features = frame_features(layers, guides, spp)
     planes = pad_planes(features.planes, h, w)
@@ -50,4 +51,7 @@ def denoise_frame(model: Quell, layers: Layers, guides: Guides, spp: int) -> Den
     padded = Layers(**{name: pad_planes(value, h, w) for name, value in vars(layers).items()})
     out = filter_layers(model.net, Features(planes, features.flags), padded, inside)
     cut = {name: None if value is None else value[..., :height, :width] for name, value in vars(out).items()}
+    if cut["direct"] is not None:
+        # What was divided by one albedo and multiplied by another stays within what the layer's pixels span.
+        cut["direct"] = cut["direct"].clamp(*span)
     return replace(out, **cut)

@@ -386,6 +386,12 @@ static const float *divisor_row(const batch *b, uint32_t channel, uint32_t y)
     return b->divisor + (channel * height + (y - b->region->y0)) * width;
 }
 
+/* What was divided by one albedo and multiplied by another stays within what the layer's pixels span. */
+static float within(float value, const ql_scan *scan)
+{
+    return value < scan->lowest ? scan->lowest : value > scan->highest ? scan->highest : value;
+}
+
 static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32_t num, uint32_t worker,
                         const float *const *planes)
 {
@@ -404,9 +410,11 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
             float *const out = result_row(m, c, y);
             const float *const factor = m->is_divided && c < MAX_COLORS ? divisor_row(b, c, y) : NULL;
             /* Where nothing valid is in reach the pixel stays (results start as a cleaned copy of the input). */
-            for (uint32_t x = x0; x < x1; ++x)
-                if (weight[x - from] > MIN_WEIGHT)
-                    out[x - m->x0] = value[x - from] / weight[x - from] * (factor ? factor[x - region->x0] : 1.0f);
+            for (uint32_t x = x0; x < x1; ++x) {
+                if (weight[x - from] <= MIN_WEIGHT) continue;
+                const float mean = value[x - from] / weight[x - from];
+                out[x - m->x0] = factor ? within(mean * factor[x - region->x0], m->scan) : mean;
+            }
         }
     }
 }

@@ -16,6 +16,7 @@ typedef struct band {
     uint64_t num_fixes, capacity, num_bad, num_limited;
     double sum;
     uint64_t num_values;
+    float lowest, highest;
     int32_t is_zero, is_constant, is_constant_alpha, out_of_memory;
 } band;
 
@@ -67,7 +68,10 @@ static void read_luminance(const scan_job *job, uint32_t y, float *const *rows, 
         for (uint32_t c = 0; c < n; ++c) {
             if (rows[c][x] != 0.0f) own->is_zero = 0;
             if (!(rows[c][x] == job->first[c])) own->is_constant = 0;
-            if (!bad) own->sum += (double)rows[c][x];
+            if (bad) continue;
+            own->sum += (double)rows[c][x];
+            own->lowest = rows[c][x] < own->lowest ? rows[c][x] : own->lowest;
+            own->highest = rows[c][x] > own->highest ? rows[c][x] : own->highest;
         }
         if (!bad) own->num_values += n;
         for (uint32_t c = n; c < job->layer->num_channels && c < MAX_COLORS; ++c)
@@ -144,6 +148,8 @@ static void scan_task(void *user, uint32_t task, uint32_t worker)
     const uint32_t y0 = task * BAND, y1 = y0 + BAND < job->height ? y0 + BAND : job->height;
     band *const b = &job->bands[task];
     b->is_zero = b->is_constant = b->is_constant_alpha = 1;
+    b->lowest = INFINITY;
+    b->highest = -INFINITY;
     const int around = (job->flags & QL_SCAN_LIMIT) != 0;
     for (int64_t y = (int64_t)y0 - REACH; y < (int64_t)y1 + REACH; ++y) {
         float *const row = luminance + (size_t)(y - ((int64_t)y0 - REACH)) * stride;
@@ -176,6 +182,8 @@ static quell_status join(const scan_job *job, uint32_t num_bands, ql_memory *mem
     double sum = 0.0;
     uint64_t num_values = 0;
     scan->is_zero = scan->is_constant = scan->is_constant_alpha = 1;
+    scan->lowest = INFINITY;
+    scan->highest = -INFINITY;
     for (uint32_t i = 0; i < num_bands; ++i) {
         const band *const b = &job->bands[i];
         if (b->out_of_memory) return ql_fail(err, QUELL_ERR_OUT_OF_MEMORY, "out of memory: list of bad pixels");
@@ -185,6 +193,8 @@ static quell_status join(const scan_job *job, uint32_t num_bands, ql_memory *mem
         scan->is_zero &= b->is_zero;
         scan->is_constant &= b->is_constant;
         scan->is_constant_alpha &= b->is_constant_alpha;
+        scan->lowest = b->lowest < scan->lowest ? b->lowest : scan->lowest;
+        scan->highest = b->highest > scan->highest ? b->highest : scan->highest;
         sum += b->sum;
         num_values += b->num_values;
     }

@@ -19,6 +19,7 @@ typedef struct ql_scan {
     ql_fix *fixes; /* by row, then column; owned */
     uint64_t num_fixes, num_bad, num_limited;
     double mean;         /* of valid pixels' colour channels, before fixes */
+    float lowest, highest; /* of the same; infinite where there are none */
     int32_t is_zero;     /* every value is 0 */
     int32_t is_constant; /* every pixel is the same */
     int32_t is_constant_alpha;
