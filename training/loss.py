@@ -72,25 +72,25 @@ def worth(noisy: Tensor, target: Tensor, level: Tensor) -> Tensor:
     return 1 / (relative_error(noisy, target, level) + NOISE_FLOOR)
 
 
-def combined_loss(made: Tensor, target: Tensor, level: Tensor) -> Tensor:
+def combined_loss(made: Tensor, target: Tensor, level: Tensor, energy_weight: float) -> Tensor:
     """Of Combined, by whichever way it was made. One value per crop."""
-    return multiscale(made, target, level) + 0.4 * energy(made, target) + 0.2 * tone_l1(made, target)
+    return multiscale(made, target, level) + energy_weight * energy(made, target) + 0.2 * tone_l1(made, target)
 
 
-def quell_loss(out: Denoised, noisy: Layers, target: Layers, level: Layers) -> Tensor:
-    """Combined first, the passes it is the sum of second."""
+def quell_loss(out: Denoised, noisy: Layers, target: Layers, level: Layers, energy_weight: float = 0.4) -> Tensor:
+    """Combined first, the passes it is the sum of second. energy_weight: of means against pixels."""
     weight = worth(noisy.beauty, target.beauty, level.beauty)
     total = noisy.beauty.new_zeros(())
     for made in (out.direct, out.rebuilt):
         if made is not None:
-            total = total + (weight * combined_loss(made, target.beauty, level.beauty)).mean()
+            total = total + (weight * combined_loss(made, target.beauty, level.beauty, energy_weight)).mean()
     if out.light is None:
         return total
     for i in range(4):
         light, given = out.light[:, i], noisy.light[:, i]
         made = light.sum(1) * out.color[:, i] if i < 3 else light.sum(1)
         wanted, around = target.light[:, i].sum(1), level.light[:, i].sum(1)
-        side = 0.1 * multiscale(made, wanted, around) + 0.05 * energy(made, wanted)
+        side = 0.1 * multiscale(made, wanted, around) + 0.125 * energy_weight * energy(made, wanted)
         total = total + (weight * side).mean()
         # Each pass by itself, as its own file shows it: light without the colour.
         for part in range(2):
@@ -104,7 +104,7 @@ def quell_loss(out: Denoised, noisy: Layers, target: Layers, level: Layers) -> T
     ):
         share = worth(given, wanted, around)
         total = total + 0.04 * (share * relative_error(made, wanted, around)).mean()
-    return total
+    return total + 0.05 * energy_weight * (weight * energy(out.emission, target.emission)).mean()
 
 
 def without_color(target: Layers, light: int, part: int) -> tuple[Tensor, Tensor]:

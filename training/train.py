@@ -51,6 +51,7 @@ class TrainConfig:
     clip: float = 3.0  # gradient norm
     ema: float = 0.998
     bfloat16: bool = True
+    energy: float = 0.4  # weight of means in the loss; 3 for a last stretch against darkening
     muon: bool = True  # for the body's convolutions; AdamW for the rest
     seed: int = 1
 
@@ -176,7 +177,7 @@ def train(
             batch = finish_batch(move(batch, device))
         with autocast(device, config.bfloat16):
             out = model(batch.features, batch.layers, batch.with_direct)
-        loss = quell_loss(out, batch.layers, batch.target, batch.level)
+        loss = quell_loss(out, batch.layers, batch.target, batch.level, config.energy)
         model.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
