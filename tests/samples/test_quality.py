@@ -15,8 +15,10 @@ SAMPLES = sorted(p.name for p in (ROOT / "samples").iterdir() if (p / f"{p.name}
 SPP = (4, 16)
 
 #: What quell-balanced reaches (docs/quality.md), less a margin for other instruction sets' rounding.
-REACHED_MEAN, REACHED_WORST = 10.5, 3.5
+REACHED_MEAN, REACHED_WORST = 12.3, 3.75
 REACHED_DRIFT, REACHED_DRIFT_SPARSE = 0.023, 0.055  # the second for passes that are black nearly everywhere
+#: What the loss of docs/decisions/0009 costs: fog at 4 spp, bulbs a pixel wide, light through a few bottles.
+KNOWN_DRIFT = {("misty_hall", "Volume Direct"): 0.052, ("night_bar", "Emit"): 0.035, ("night_bar", "TransDir"): 0.065}
 
 
 def rel_mse(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -112,7 +114,7 @@ def test_each_level_is_nearer_to_the_truth_than_the_one_below(quell, exr_reader,
     assert means == sorted(means), dict(zip(levels, means, strict=True))
 
 
-@pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.7-fold: docs/quality.md")
+@pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.9-fold: docs/quality.md")
 def test_combined_at_4_spp_on_each(results):
     gains = gains_at(results, 4)
     assert geometric_mean(gains) >= 8, gains
@@ -160,10 +162,11 @@ def test_means_keep_what_is_reached(results, name, spp):
     source = results[name, spp][0]
     for layer, ratio in drifts(results, name, spp).items():
         sparse = (source[layer][..., :3] == 0).mean() > 0.9
-        assert abs(ratio - 1) <= (REACHED_DRIFT_SPARSE if sparse else REACHED_DRIFT), (layer, ratio)
+        usual = REACHED_DRIFT_SPARSE if sparse else REACHED_DRIFT
+        assert abs(ratio - 1) <= KNOWN_DRIFT.get((name, pass_name(layer)), usual), (layer, ratio)
 
 
-@pytest.mark.xfail(reason="two passes of the noisiest inputs miss it, by 0.03 % and 3 %: docs/quality.md")
+@pytest.mark.xfail(reason="fog, bulbs a pixel wide and some light passes at 4 spp miss it: docs/quality.md")
 def test_means_stay_within_2_percent(results):
     for name in SAMPLES:
         for spp in SPP:
