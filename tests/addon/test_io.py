@@ -189,6 +189,7 @@ def test_quality_reaches_the_library(addon, data, tmp_path, quell):
                 addon.files.denoise_file(data / "45_none.exr", out, settings, no_progress)
             assert not canvas.written and not out.exists()
             continue
+        canvas.pixels["Denoising Albedo"][:] = 0.5  # noise in it would count as texture, which is left alone
         canvas.denoise(addon, quality=level)
         pixels[level] = canvas.written["Combined"].tobytes()
         addon.files.denoise_file(data / "45_none.exr", out, settings, no_progress)
