@@ -13,8 +13,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from training.data.crops import combine_inputs, sum_parts, to_guides, to_layers
-from training.data.pack import INPUT, NUM_TARGET, TARGET, PackedFrame, load_packs, pack_root
+from training.data.crops import to_guides, to_layers
+from training.data.pack import (
+    INPUT,
+    NUM_TARGET,
+    TARGET,
+    PackedFrame,
+    divide_color,
+    load_packs,
+    pack_root,
+    sum_parts,
+)
 from training.export import load_weights
 from training.infer import denoise_frame
 from training.models.quell import Quell
@@ -23,14 +32,11 @@ from training.paths import data_root
 
 def mean_input(frame: PackedFrame) -> np.ndarray:
     """INPUT's channels [47,h,w] of all samples together; guides of the renders that are kept."""
-    x = combine_inputs([render.astype(np.float32) for render in frame.inputs])
+    x = frame.inputs.mean(0, dtype=np.float32)
     mean = frame.sums / np.float32(frame.total_spp)
     for name in ("beauty", "color", "emission"):
         x[INPUT[name]] = mean[TARGET[name]]
-    color = x[INPUT["color"]].reshape(3, 1, 3, *x.shape[1:]).repeat(2, 1).reshape(18, *x.shape[1:])
-    light = mean[TARGET["product"]].copy()
-    light[:18] = np.where(color > 1e-6, light[:18] / np.maximum(color, 1e-6), 0)
-    x[INPUT["light"]] = light
+    x[INPUT["light"]] = divide_color(mean[TARGET["product"]], mean[TARGET["color"]])
     return x
 
 

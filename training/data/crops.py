@@ -13,7 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from training.data.pack import INPUT, NUM_INPUT, NUM_TARGET, TARGET, PackedFrame, spread_color, to_target
+from training.data.pack import (
+    INPUT,
+    NUM_INPUT,
+    NUM_TARGET,
+    TARGET,
+    PackedFrame,
+    divide_color,
+    sum_parts,
+    to_target,
+)
 from training.features import Features, Guides, Layers, limit_fireflies, log_exponent, make_features
 
 
@@ -56,12 +65,8 @@ def combine_inputs(parts: list[np.ndarray]) -> np.ndarray:
     if len(parts) == 1:
         return parts[0]
     mean = sum(parts) / len(parts)
-    color = mean[INPUT["color"]]
     product = sum(to_target(p)[TARGET["product"]] for p in parts) / len(parts)
-    light = product.copy()
-    color = spread_color(color)
-    light[:18] = np.where(color > 1e-6, product[:18] / np.maximum(color, 1e-6), 0)
-    mean[INPUT["light"]] = light
+    mean[INPUT["light"]] = divide_color(product, mean[INPUT["color"]])
     return mean
 
 
@@ -137,11 +142,6 @@ def augment(
         for array in wanted:
             array[TARGET["beauty"]] *= factor
     return inputs, wanted
-
-
-def sum_parts(target: np.ndarray) -> np.ndarray:
-    """Combined [3,h,w] of TARGET's channels."""
-    return target[TARGET["product"]].reshape(8, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
 
 
 def to_layers(x: Tensor, has_light: bool) -> Layers:

@@ -102,11 +102,23 @@ def to_target(inputs: np.ndarray) -> np.ndarray:
     return np.concatenate([inputs[INPUT["beauty"]], product, inputs[INPUT["color"]], inputs[INPUT["emission"]]])
 
 
+def divide_color(product: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """Light [24,h,w] of light times colour [24,h,w]; 0 where the colour [9,h,w] is black. Volume has none."""
+    color = spread_color(color)
+    light = product.copy()
+    light[:18] = np.where(color > 1e-6, product[:18] / np.maximum(color, 1e-6), 0)
+    return light
+
+
+def sum_parts(target: np.ndarray) -> np.ndarray:
+    """Combined [3,h,w] of TARGET's channels."""
+    return target[TARGET["product"]].reshape(8, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
+
+
 def closure_error(target: np.ndarray) -> float:
     """Mean difference of the passes' sum and Combined, relative to Combined's mean."""
-    total = target[TARGET["product"]].reshape(8, 3, *target.shape[1:]).sum(0) + target[TARGET["emission"]]
     beauty = target[TARGET["beauty"]]
-    return float(np.abs(total - beauty).mean() / max(beauty.mean(), 1e-6))
+    return float(np.abs(sum_parts(target) - beauty).mean() / max(beauty.mean(), 1e-6))
 
 
 def choose_environment(render: np.ndarray) -> tuple[bool, float]:
