@@ -17,6 +17,8 @@ from training.models.pyramid import (
     guided_kernel_reference,
     partition,
     partition_reference,
+    take_planes,
+    take_planes_reference,
 )
 from training.models.quell import Denoised, Quell, QuellConfig, filter_layers
 
@@ -69,6 +71,32 @@ def test_native_partition_matches_reference() -> None:
         results.append((out.detach(), values.grad, logits.grad))
     for native, reference in zip(*results, strict=True):
         torch.testing.assert_close(native, reference, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("fine", [1, 2])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_native_planes_match_reference(fine: int, dtype: torch.dtype) -> None:
+    choices = [(torch.tensor([0, 6]), 2, 0.5), (torch.tensor([2]), 1, None), (torch.tensor([3, 8]), 2, None)]
+    results = []
+    for function in (take_planes, take_planes_reference):
+        x = random(2, 5 * fine * fine, 6, 4).to(dtype).requires_grad_()
+        out = function(x, fine, choices)
+        sum((o * random(*o.shape, seed=i)).sum() for i, o in enumerate(out[:2])).backward()  # the last one is unused
+        results.append((*(o.detach() for o in out), x.grad))
+    for native, reference in zip(*results, strict=True):
+        assert native.dtype == reference.dtype and torch.equal(native, reference)
+
+
+@pytest.mark.parametrize("images", [1, 2])
+def test_gradients_do_not_depend_on_threads(images: int) -> None:
+    results = []
+    for threads in (2, 1):  # 1 is what the other tests run with
+        torch.set_num_threads(threads)
+        given = [t.requires_grad_() for t in arguments(FILTER_RADIUS, 0, 16, 12, True)]
+        guided_kernel(*given, IMAGE % images, GROUP, FILTER_RADIUS, 0).square().sum().backward()
+        results.append([t.grad for t in given])
+    for two, one in zip(*results, strict=True):
+        assert torch.equal(two, one)
 
 
 def one_item(height: int, width: int, radius: int, shift: int, table: Tensor) -> list[Tensor | None]:

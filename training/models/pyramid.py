@@ -26,7 +26,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.native import GuidedKernel, Partition
+from training.native import GuidedKernel, Partition, TakePlanes
 
 FILTER_RADIUS, UP_RADIUS = 2, 1
 FILTER_TAPS, UP_TAPS = 25, 9
@@ -88,6 +88,28 @@ def partition_reference(values: Tensor, logits: Tensor) -> Tensor:
     n, channels, height, width = values.shape
     cells = F.pixel_unshuffle(values, 2).view(n, channels, 4, height // 2, width // 2)
     return (cells * weights[:, None]).sum(2)
+
+
+Choice = tuple[Tensor, int, float | None]  # indices of first planes, planes from each, bound of their values
+
+
+def take_planes_reference(x: Tensor, fine: int, choices: list[Choice]) -> tuple[Tensor, ...]:
+    """Planes by their index of all images' planes, float32 and clamped: for each choice [len(first),planes,h,w].
+
+    x [images,planes,h,w]; fine 2: [images,4 planes,h/2,w/2], in the order of `pixel_shuffle`. No plane twice."""
+    planes = F.pixel_shuffle(x, fine).flatten(0, 1)
+    out = []
+    for first, count, bound in choices:
+        taken = planes[(first[:, None] + torch.arange(count)).to(x.device)].float()
+        out.append(taken if bound is None else taken.clamp(-bound, bound))
+    return tuple(out)
+
+
+def take_planes(x: Tensor, fine: int, choices: list[Choice]) -> tuple[Tensor, ...]:
+    """`take_planes_reference` in C where the data is on the CPU."""
+    if x.device.type != "cpu":
+        return take_planes_reference(x, fine, choices)
+    return TakePlanes.apply(x, fine, *(part for choice in choices for part in choice))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.features import DETAIL_PLANES, GUIDE_PLANES, NUM_FEATURES, NUM_FLAGS, Features, Layers
-from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_level, filter_pyramid
+from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_level, filter_pyramid, take_planes
 
 LIGHTS = ("diffuse", "glossy", "transmission", "volume")
 PARTS = ("direct", "indirect")
@@ -76,23 +76,36 @@ class Denoised:
 
 @dataclass(frozen=True)
 class Head:
-    """A level's head, float32. narrow (scale, centre) at full resolution alone."""
+    """What a level's head says of n items, each a group of an image, and of every image; float32. What a level has not
+    is None."""
 
-    groups: Tensor  # [n,groups,fields,h,w]
-    embedding: Tensor  # [n,e,h,w]: the head's share
-    narrow: Tensor | None = None  # [n,narrow groups,fields,h,w]
+    embedding: Tensor  # [images,e,h,w]: the head's share
+    scale: Tensor  # [n,e,h,w], within MAX_SCALE
+    centre: Tensor  # [n,1,h,w]
+    blend: Tensor | None = None  # [n,1,h,w]
+    down: Tensor | None = None  # [n,1,h,w]
+    importance: Tensor | None = None  # [n,1,h,w]
+    narrow: tuple[tuple[Tensor, Tensor], ...] = ()  # by narrow group: scale [images,e,h,w], centre [images,1,h,w]
 
 
-def split_head(x: Tensor, level: int) -> Head:
-    """x [n,head_planes,h,w] by name."""
-    planes = group_planes(level)
-    if level > 0:
-        groups, embedding = x.split([len(GROUPS) * planes, EMBEDDING], 1)
-        return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding)
-    narrow_planes = len(NARROW_GROUPS) * NARROW_FIELDS
-    groups, narrow, embedding = x.split([len(GROUPS) * planes, narrow_planes, EMBEDDING], 1)
-    narrow = narrow.unflatten(1, (len(NARROW_GROUPS), NARROW_FIELDS))
-    return Head(groups.unflatten(1, (len(GROUPS), planes)), embedding, narrow)
+def take_head(x: Tensor, level: int, image: Tensor, group: Tensor) -> Head:
+    """x: what the level's convolution made, [images,head_planes,h,w]; at full resolution
+    [images,4 head_planes,h/2,w/2], the pixels of a cell of 2x2 one after another."""
+    fine = 2 if level == 0 else 1
+    start = image * head_planes(level) + group * group_planes(level)
+    choices = []  # first planes, how many from each, bound
+    for name in list(GROUP_FIELDS)[: FIELDS_AT[level]]:
+        choices.append((start, GROUP_FIELDS[name], MAX_SCALE if name == "scale" else None))
+        start = start + GROUP_FIELDS[name]
+    start = torch.arange(len(x)) * head_planes(level) + len(GROUPS) * group_planes(level)
+    for _ in NARROW_GROUPS if level == 0 else ():
+        choices += [(start, EMBEDDING, MAX_SCALE), (start + EMBEDDING, 1, None)]
+        start = start + NARROW_FIELDS
+    choices.append((start, EMBEDDING, None))
+    *fields, embedding = take_planes(x, fine, choices)
+    groups, narrow = fields[: FIELDS_AT[level]], fields[FIELDS_AT[level] :]
+    blend, down, importance = (*groups[2:], None, None, None)[:3]
+    return Head(embedding, *groups[:2], blend, down, importance, tuple(zip(narrow[::2], narrow[1::2], strict=True)))
 
 
 def conv3x3(channels: int) -> nn.Conv2d:
@@ -162,9 +175,9 @@ class QuellNet(nn.Module):
                 for x in range(2):
                     table.data[:, 2 * y + x] = (tent[y][:, None] * tent[x][None]).flatten().log()
 
-    def forward(self, features: Tensor, flags: Tensor) -> tuple[list[Head], Tensor]:
-        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to heads by level, and the embedding's share that is
-        made at full resolution [n,e,h,w], float32."""
+    def forward(self, features: Tensor, flags: Tensor) -> tuple[list[Tensor], Tensor]:
+        """features [n,32,h,w] (h, w multiples of 16), flags [n,6] to what `take_head` takes, by level, and the
+        embedding's share that is made at full resolution [n,e,h,w], float32."""
         x = F.relu(self.stem(features) + self.flags(flags)[:, :, None, None])
         skips = []
         for level in range(4):
@@ -179,10 +192,8 @@ class QuellNet(nn.Module):
             for conv in self.decoder[level]:
                 x = F.relu(conv(x))
             levels[level + 1] = x
-        planes = [F.pixel_shuffle(self.heads[0](levels[1]), 2)]
-        planes += [self.heads[level](levels[level]) for level in range(1, LEVELS)]
-        heads = [split_head(x.float(), level) for level, x in enumerate(planes)]
-        return heads, self.detail(features, levels[1])
+        planes = [self.heads[level](levels[max(level, 1)]) for level in range(LEVELS)]
+        return planes, self.detail(features, levels[1])
 
     def detail(self, features: Tensor, finest: Tensor) -> Tensor:
         """finest [n,w0,h/2,w/2]: the U-Net's, which knows what lies around."""
@@ -201,23 +212,22 @@ class QuellNet(nn.Module):
             passed = F.avg_pool2d(out[-1], 2)
         return out
 
-    def levels(self, heads: list[Head], embeddings: list[Tensor], image: Tensor, group: Tensor) -> list[Level]:
-        """The pyramid of n items, each a group of an image."""
+    def levels(self, heads: list[Head], embeddings: list[Tensor]) -> list[Level]:
+        """The pyramid of the heads' items."""
         out = []
         for level, (head, embedding) in enumerate(zip(heads, embeddings, strict=True)):
-            own = list(head.groups[image, group].split(list(GROUP_FIELDS.values())[: FIELDS_AT[level]], 1))
             last = level + 1 == LEVELS
             out.append(
                 Level(
                     embedding=embedding,
                     pooled=embedding if last else F.avg_pool2d(embedding, 2),
-                    scale=own[0].clamp(-MAX_SCALE, MAX_SCALE),
-                    centre=own[1],
+                    scale=head.scale,
+                    centre=head.centre,
                     table=self.filter_table[level],
                     up_table=None if last else self.up_table[level],
-                    blend=None if last else own[2],
-                    down=None if last else own[3],
-                    importance=own[4] if level == 0 else None,
+                    blend=head.blend,
+                    down=head.down,
+                    importance=head.importance,
                 )
             )
         return out
@@ -229,10 +239,8 @@ def importance_weight(logits: Tensor) -> Tensor:
 
 def filter_narrow(net: QuellNet, head: Head, embedding: Tensor, values: Tensor, name: str) -> Tensor:
     """Homogeneous values [n,c,h,w] by the 5x5 kernels of a narrow group."""
-    assert head.narrow is not None
     index = NARROW_GROUPS.index(name)
-    scale, centre = head.narrow[:, index].split([EMBEDDING, 1], 1)
-    level = Level(embedding, embedding, scale.clamp(-MAX_SCALE, MAX_SCALE), centre, net.narrow_table)
+    level = Level(embedding, embedding, *head.narrow[index], net.narrow_table)
     image = torch.arange(len(values))
     return divide(filter_level(values, level, image, torch.full_like(image, index)))
 
@@ -250,11 +258,10 @@ def filter_layers(
 
     inside [n,1,h,w]: 0 where padding lies outside the image and must have no weight; None: all is inside.
     with_direct False: Combined is not filtered by itself where there is light to sum it from."""
-    heads, detail = net(features.planes, features.flags)
+    planes, detail = net(features.planes, features.flags)
     n = layers.beauty.shape[0]
     if inside is None:
         inside = torch.ones_like(layers.beauty[:, :1])
-    embeddings = net.embeddings(detail, heads)
     # Items: Combined of every image, then the light passes that are not black.
     num_direct = n if with_direct or layers.light is None else 0
     image, group = torch.arange(num_direct), torch.zeros(num_direct, dtype=torch.long)
@@ -268,7 +275,9 @@ def filter_layers(
         image, group = torch.cat([image, lit[:, 0]]), torch.cat([group, lit[:, 1] + 1])
         values = torch.cat([values, layers.light.flatten(1, 2)[lit[:, 0], lit[:, 1]]])
         validity = torch.cat([validity, valid[lit[:, 0], lit[:, 1] // 2]])
-    levels = net.levels(heads, embeddings, image, group)
+    heads = [take_head(x, level, image.cpu(), group.cpu()) for level, x in enumerate(planes)]
+    embeddings = net.embeddings(detail, heads)
+    levels = net.levels(heads, embeddings)
     assert levels[0].importance is not None
     weight = importance_weight(levels[0].importance) * validity
     filtered = filter_pyramid(torch.cat([values * weight, weight], 1), levels, image, group)

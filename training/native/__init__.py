@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import math
 import subprocess
 import tempfile
 from pathlib import Path
@@ -56,6 +57,10 @@ def library() -> ctypes.CDLL:
     lib.guided_forward.restype = None
     lib.guided_backward.argtypes = [ctypes.c_long] + [pointer] * 6
     lib.guided_backward.restype = None
+    lib.take_planes.argtypes = [ctypes.c_long] * 5 + [pointer] * 4
+    lib.take_planes.restype = None
+    lib.give_planes.argtypes = [ctypes.c_long] * 5 + [pointer] * 5
+    lib.give_planes.restype = None
     lib.partition_forward.argtypes = [ctypes.c_long] * 4 + [pointer] * 3
     lib.partition_forward.restype = None
     lib.partition_backward.argtypes = [ctypes.c_long] * 4 + [pointer] * 5
@@ -81,6 +86,19 @@ def _longs(values: list[int]) -> ctypes.Array:
     return (ctypes.c_long * len(values))(*values)
 
 
+def _planes(tensors: list[torch.Tensor | None], shapes: list[tuple[int, int]] | None = None) -> ctypes.Array:
+    """A pointer to each plane of tensors [n,c,h,w], in their order; of one that is not there, n c (shapes) NULLs."""
+    pointers: list[int | None] = []
+    for i, tensor in enumerate(tensors):
+        if tensor is None:
+            assert shapes is not None
+            pointers += [None] * (shapes[i][0] * shapes[i][1])
+        else:
+            size = 4 * tensor.shape[-1] * tensor.shape[-2]
+            pointers += range(tensor.data_ptr(), tensor.data_ptr() + size * tensor.shape[0] * tensor.shape[1], size)
+    return (ctypes.c_void_p * len(pointers))(*pointers)
+
+
 class GuidedKernel(torch.autograd.Function):
     """`pyramid.guided_kernel_reference` on the CPU, forward and backward."""
 
@@ -89,7 +107,9 @@ class GuidedKernel(torch.autograd.Function):
         given = (source, embedding, other, scale, centre, table)
         tensors = [None if t is None else t.float().contiguous() for t in given]
         n, channels, height, width = source.shape[0], source.shape[1], *scale.shape[-2:]
-        sizes = _longs([width, height, width >> shift, height >> shift, radius, shift, channels, embedding.shape[1]])
+        images, dims = embedding.shape[:2]
+        source_size = (width >> shift, height >> shift)
+        sizes = _longs([width, height, *source_size, radius, shift, channels, dims, images, len(table)])
         index = _longs(image.tolist()), _longs(group.tolist())
         out = torch.empty(n, channels, height, width)
         library().guided_forward(n, sizes, *index, _pointers(tensors), out.data_ptr())
@@ -115,6 +135,38 @@ class GuidedKernel(torch.autograd.Function):
         grad = grad.float().contiguous()
         library().guided_backward(*ctx.call, _pointers(tensors), grad.data_ptr(), _pointers(out))
         return *out, None, None, None, None
+
+
+class TakePlanes(torch.autograd.Function):
+    """`pyramid.take_planes_reference` on the CPU; x float32 or bfloat16."""
+
+    @staticmethod
+    def forward(ctx, x: torch.Tensor, fine: int, *choices) -> tuple[torch.Tensor, ...]:
+        x = x.contiguous()
+        height, width = x.shape[-2:]
+        out, index, bounds = [], [], []
+        for first, count, bound in zip(choices[::3], choices[1::3], choices[2::3], strict=True):
+            out.append(torch.empty(len(first), count, height * fine, width * fine))
+            planes = (first[:, None] + torch.arange(count)).flatten()
+            index.append(planes)
+            bounds += [math.inf if bound is None else bound] * len(planes)
+        index, bounds = torch.cat(index), torch.tensor(bounds)
+        sizes = (len(index), int(x.dtype == torch.bfloat16), fine, height, width)
+        ctx.call = (*sizes, index.data_ptr(), bounds.data_ptr())
+        ctx.kept = (index, bounds, [tuple(o.shape[:2]) for o in out])
+        library().take_planes(*ctx.call, x.data_ptr(), _planes(out))
+        ctx.save_for_backward(x)
+        ctx.set_materialize_grads(False)
+        return tuple(out)
+
+    @staticmethod
+    def backward(ctx, *grads):
+        (x,) = ctx.saved_tensors
+        shapes = ctx.kept[2]
+        gradients = [None if grad is None else grad.float().contiguous() for grad in grads]
+        given = torch.zeros_like(x)
+        library().give_planes(*ctx.call, x.data_ptr(), _planes(gradients, shapes), given.data_ptr())
+        return given, None, *([None] * 3 * len(shapes))
 
 
 class Partition(torch.autograd.Function):

@@ -10,6 +10,7 @@
  * everything is zero (values and validity alike, see pyramid.py).
  */
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -111,14 +112,18 @@ static block larger(block a, block b)
     return (block)((m & (int_block)a) | (~m & (int_block)b));
 }
 
-/* exp(x) = 2^n exp(r), |r| < ln 2, by its series; relative error below 1e-6. */
+/* exp(x) = 2^n 2^f, |f| <= 1/2, by a polynomial in f (least squares of the relative error, which stays below 2e-7);
+ * -80 <= x < 80. */
 static block exp_block(block x)
 {
-    x = larger(x, (block){0} - 80.0f);
-    const int_block n = __builtin_convertvector(x * 1.44269504f, int_block);
-    const block r = x - __builtin_convertvector(n, block) * 0.69314718056f;
-    block p = r / 8.0f + 1.0f;
-    for (float k = 7.0f; k >= 1.0f; --k) p = p * r / k + 1.0f;
+    const block y = larger(x, (block){0} - 80.0f) * 1.44269504f;
+    const int_block n = __builtin_convertvector(y + 200.5f, int_block) - 200; /* to the nearest: the cast cuts off */
+    const block f = y - __builtin_convertvector(n, block);
+    block p = f * 0.00132669704f + 0.00967545975f;
+    p = p * f + 0.0555074262f;
+    p = p * f + 0.240221218f;
+    p = p * f + 0.693146949f;
+    p = p * f + 1.00000007f;
     return p * (block)((n + 127) << 23);
 }
 
@@ -316,7 +321,8 @@ static void backward_one(const geometry *g, const item *t)
     free(padded);
 }
 
-/* n items; image[i] says whose embedding item i uses, group[i] whose table. sizes: geometry's members in their order. */
+/* n items; image[i] says whose embedding item i uses, group[i] whose table. sizes: geometry's members in their order, then
+ * how many images and tables there are. */
 static item make_item(const geometry *g, long i, const long *image, const long *group, const float *const *in)
 {
     const long plane = g->width * g->height, source_plane = g->source_width * g->source_height;
@@ -341,23 +347,94 @@ void guided_forward(long n, const long *sizes, const long *image, const long *gr
     }
 }
 
-/* out: gradients in the order of `in`; those of embedding, other and table must be zero at first. In one thread: items
- * share them, and sums in one order are the same in every run. */
+/* out: gradients in the order of `in`; those of embedding, other and table must be zero at first. Items of one image
+ * share the first two and are done one after another; each image has a table of its own, added up at the end: sums have
+ * one order, whatever the number of threads. */
 void guided_backward(long n, const long *sizes, const long *image, const long *group, const float *const *in,
                      const float *grad, float *const *out)
 {
     const geometry g = {sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5], sizes[6], sizes[7]};
+    const long images = sizes[8], table = (g.shift ? 4 : 1) * num_taps(&g), tables = sizes[9] * table;
     const long plane = g.width * g.height, source_plane = g.source_width * g.source_height;
-    for (long i = 0; i < n; ++i) {
-        item t = make_item(&g, i, image, group, in);
-        t.grad = grad + i * g.channels * plane;
-        t.grad_source = out[0] + i * g.channels * source_plane;
-        t.grad_embedding = out[1] + image[i] * g.dims * plane;
-        t.grad_other = out[2] + image[i] * g.dims * source_plane;
-        t.grad_scale = out[3] + i * g.dims * plane;
-        t.grad_centre = out[4] ? out[4] + i * plane : NULL;
-        t.grad_table = out[5] + group[i] * (g.shift ? 4 : 1) * num_taps(&g);
-        backward_one(&g, &t);
+    float *const own_tables = calloc((size_t)(images * tables), sizeof *own_tables);
+#pragma omp parallel for schedule(dynamic)
+    for (long m = 0; m < images; ++m)
+        for (long i = 0; i < n; ++i) {
+            if (image[i] != m) continue;
+            item t = make_item(&g, i, image, group, in);
+            t.grad = grad + i * g.channels * plane;
+            t.grad_source = out[0] + i * g.channels * source_plane;
+            t.grad_embedding = out[1] + m * g.dims * plane;
+            t.grad_other = out[2] + m * g.dims * source_plane;
+            t.grad_scale = out[3] + i * g.dims * plane;
+            t.grad_centre = out[4] ? out[4] + i * plane : NULL;
+            t.grad_table = own_tables + m * tables + group[i] * table;
+            backward_one(&g, &t);
+        }
+    for (long m = 0; m < images; ++m)
+        for (long k = 0; k < tables; ++k) out[5][k] += own_tables[m * tables + k];
+    free(own_tables);
+}
+
+static float from_bfloat16(uint16_t half)
+{
+    const uint32_t bits = (uint32_t)half << 16;
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static uint16_t to_bfloat16(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return (uint16_t)((bits + 0x7fff + (bits >> 16 & 1)) >> 16);
+}
+
+static float clamp(float value, float bound) { return value < -bound ? -bound : value > bound ? bound : value; }
+
+/* A head's planes: from [fine * fine][height][width] of float or bfloat16, `from` counting such blocks, to
+ * [height * fine][width * fine] of float, clamped to +-bound. fine 1 or 2. */
+void take_planes(long count, long half, long fine, long height, long width, const long *from, const float *bound,
+                 const void *source, float *const *to)
+{
+    const long cell = fine * fine, plane = height * width;
+#pragma omp parallel for
+    for (long i = 0; i < count; ++i)
+        for (long k = 0; k < cell; ++k)
+            for (long y = 0; y < height; ++y) {
+                const long at = (from[i] * cell + k) * plane + y * width;
+                float *const row = to[i] + ((y * fine + k / fine) * width) * fine + k % fine;
+                if (half)
+                    for (long x = 0; x < width; ++x)
+                        row[x * fine] = clamp(from_bfloat16(((const uint16_t *)source)[at + x]), bound[i]);
+                else
+                    for (long x = 0; x < width; ++x) row[x * fine] = clamp(((const float *)source)[at + x], bound[i]);
+            }
+}
+
+/* The way back: grad[i] (NULL: none) to the gradient of the source, where the source was within its bound. */
+void give_planes(long count, long half, long fine, long height, long width, const long *from, const float *bound,
+                 const void *source, const float *const *grad, void *given)
+{
+    const long cell = fine * fine, plane = height * width;
+#pragma omp parallel for
+    for (long i = 0; i < count; ++i) {
+        if (!grad[i]) continue;
+        for (long k = 0; k < cell; ++k)
+            for (long y = 0; y < height; ++y) {
+                const long at = (from[i] * cell + k) * plane + y * width;
+                const float *const row = grad[i] + ((y * fine + k / fine) * width) * fine + k % fine;
+                for (long x = 0; x < width; ++x) {
+                    const float value = half ? from_bfloat16(((const uint16_t *)source)[at + x])
+                                             : ((const float *)source)[at + x];
+                    const float share = fabsf(value) <= bound[i] ? row[x * fine] : 0.0f;
+                    if (half)
+                        ((uint16_t *)given)[at + x] = to_bfloat16(share);
+                    else
+                        ((float *)given)[at + x] = share;
+                }
+            }
     }
 }
 
@@ -374,6 +451,7 @@ static void cell_weights(const float *upper, const float *lower, float *w)
 void partition_forward(long n, long channels, long height, long width, const float *values, const float *logits,
                        float *out)
 {
+#pragma omp parallel for
     for (long i = 0; i < n; ++i)
         for (long y = 0; y < height / 2; ++y) {
             const float *const l = logits + (i * height + 2 * y) * width;
@@ -392,6 +470,7 @@ void partition_forward(long n, long channels, long height, long width, const flo
 void partition_backward(long n, long channels, long height, long width, const float *values, const float *logits,
                         const float *grad, float *grad_values, float *grad_logits)
 {
+#pragma omp parallel for
     for (long i = 0; i < n; ++i)
         for (long y = 0; y < height / 2; ++y) {
             const long at = (i * height + 2 * y) * width;
