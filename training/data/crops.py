@@ -36,6 +36,7 @@ class CropConfig:
     hide_spp: float = 0.2
     spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 0.8), (4, 2.0), (8, 1.2), (16, 1.5), (32, 1.0))
     max_gain_stops: float = 1.5  # of one pass group against another
+    clean_share: float = 0.0  # of targets, of their denoised mean; less by the input's share of the frame's samples
     seed: int = 1
 
 
@@ -82,7 +83,10 @@ def crop_frame(
     parts = [frame.inputs[i][window].astype(np.float32) for i in chosen]
     used = sum(to_target(p) * frame.spp[i] for p, i in zip(parts, chosen, strict=True))
     target = (frame.sums[window] - used) / (frame.total_spp - spp)
-    return combine_inputs(parts), target, frame.level(window), spp
+    level = frame.level(window)
+    if frame.clean is not None:
+        target += config.clean_share * (1 - spp / frame.total_spp) * (level - target)
+    return combine_inputs(parts), target, level, spp
 
 
 def turn(array: np.ndarray, flip_x: bool, flip_y: bool, transpose: bool) -> np.ndarray:
