@@ -27,9 +27,9 @@ from training.scenes.lights import scale_lights
 if TYPE_CHECKING:
     from training.render import Config, Job
 
-#: Final resolutions that frames are cut out of, so that a pixel covers as much of the
-#: scene as in pictures that people render; the first is a whole small picture.
-_RESOLUTIONS = ((0, 0), (640, 360), (960, 540), (1280, 720), (1920, 1080))
+#: Final resolutions that frames are cut out of, and how often. In small whole pictures (the first is as large as the
+#: frame) every pixel is an edge, which is what is hardest; the larger show as much of a scene as what people render.
+_RESOLUTIONS = {(0, 0): 3, (384, 256): 3, (640, 360): 3, (960, 540): 2, (1280, 720): 1, (1920, 1080): 1}
 #: Sub-folder of a frame for the passes that its scene alone has, named by "extra" in meta.json, 3 channels each.
 EXTRA = "extra"
 #: Sampling settings that scenes may change; recorded in meta.json.
@@ -215,8 +215,8 @@ def find_view(
     scene, reason = stage.scene, "no camera"
     for attempt in range(_CAMERA_TRIES):
         view_rng = rng_for(job.family, job.seed, "view", camera, attempt)
-        index = view_rng.choice((0, 1, 1, 1, 2, 2, 3, 4))
-        resolution = _RESOLUTIONS[index] if index else (config.size, config.size)
+        (resolution,) = view_rng.choices(list(_RESOLUTIONS), list(_RESOLUTIONS.values()))
+        resolution = resolution if any(resolution) else (config.size, config.size)
         apply_shot(scene, compose(scene, maker, shot_rng(job, camera, attempt), resolution))
         factor = min(1.0, _PREVIEW_LONG_SIDE / max(resolution))
         small = tuple(max(16, round(v * factor)) for v in resolution)
