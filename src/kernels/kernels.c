@@ -10,6 +10,7 @@ void ql_kernels_init(ql_kernels *kernels, uint32_t cpu)
 #if defined(__x86_64__) || defined(_M_X64)
     if (cpu & QL_CPU_AVX2) ql_kernels_init_avx2(kernels);
     if (cpu & QL_CPU_AVX512) ql_kernels_init_avx512(kernels);
+    if (cpu & QL_CPU_AVX512_BF16) ql_kernels_init_avx512bf16(kernels);
 #elif defined(__aarch64__)
     if (cpu & QL_CPU_NEON) ql_kernels_init_neon(kernels);
 #else

@@ -128,8 +128,36 @@ typedef void ql_expm1_row_fn(const float *in, float top, float scale, float *out
 typedef void ql_planes_row_fn(const float *in, size_t in_stride, uint32_t num_planes, uint32_t group, float *out,
                               size_t out_stride, uint32_t num_pixels);
 
+/* ---- bfloat16: maps and weights in it, sums in float -------------------------------------------------------------- */
+
+/* The convolution of ql_conv_row on bfloat16. Two neighbouring values of k go into one step, as VDPBF16PS does it:
+ * sum = (sum + a[k + 1] * w[k + 1]) + a[k] * w[k], rounded to nearest after each product, which is exact by itself; values
+ * and sums below 2^-126 count as 0. All versions give the same bits where no product leaves the range of normal floats.
+ * weights: [num_out / 16][num_rows * num_k / 2][16][2], num_k even, aligned to 64 bytes as bias is. The result goes to out,
+ * rounded, or, where that is NULL, to sums. rows and out may not overlap. */
+typedef struct ql_bf16_conv_row {
+    const uint16_t *rows[QL_MAX_CONV_ROWS];
+    const uint16_t *weights;
+    const float *bias;
+    uint16_t *out;
+    float *sums;
+    uint32_t num_rows, num_k, stride, num_pixels, num_out;
+    int32_t relu;
+} ql_bf16_conv_row;
+typedef void ql_bf16_conv_row_fn(const ql_bf16_conv_row *conv);
+
+/* out[i] = in[i] rounded; out[i] = in[i]. */
+typedef void ql_bf16_round_row_fn(const float *in, uint16_t *out, uint32_t num);
+typedef void ql_bf16_expand_row_fn(const uint16_t *in, float *out, uint32_t num);
+
+/* map[x][c] = max(0, map[x][c] + add[x / 2][c]) rounded, x < num_pixels. num_channels is a multiple of QL_BLOCK. */
+typedef void ql_bf16_add_row_fn(const float *add, uint16_t *map, uint32_t num_channels, uint32_t num_pixels);
+
+/* Whether a set of kernels has bfloat16. Its slots are filled in any case, with the C versions where it has none. */
+enum { QL_BF16_NONE = 0, QL_BF16_SPECIFICATION = 1 /* in C, slowly */, QL_BF16_FAST = 2 };
+
 typedef struct ql_kernels {
-    const char *name; /* "c", "avx2", "avx512", "neon" */
+    const char *name; /* "c", "avx2", "avx512", "avx512bf16", "neon" */
     ql_conv_row_fn *conv_row;
     ql_filter_row_fn *filter_row;
     ql_upsample_row_fn *upsample_row;
@@ -143,15 +171,22 @@ typedef struct ql_kernels {
     ql_moments_row_fn *moments_row;
     ql_norm_row_fn *norm_row;
     ql_expm1_row_fn *expm1_row;
+    int32_t bf16; /* QL_BF16_* */
+    ql_bf16_conv_row_fn *bf16_conv_row;
+    ql_bf16_round_row_fn *bf16_round_row;
+    ql_bf16_expand_row_fn *bf16_expand_row;
+    ql_bf16_add_row_fn *bf16_add_row;
 } ql_kernels;
 
 void ql_kernels_init(ql_kernels *kernels, uint32_t cpu); /* cpu: QL_CPU_* bits that may be used */
 
 /* Each fills its own slots; the table keeps the slower version where an instruction set has none. */
 void ql_kernels_init_c(ql_kernels *kernels);
-void ql_kernels_init_wide_c(ql_kernels *kernels); /* the part of DGAN-KPN; the one above calls it */
+void ql_kernels_init_wide_c(ql_kernels *kernels); /* the part of DGAN-KPN; the first one calls it */
+void ql_kernels_init_bf16_c(ql_kernels *kernels); /* bfloat16; the first one calls it */
 void ql_kernels_init_avx2(ql_kernels *kernels);
 void ql_kernels_init_avx512(ql_kernels *kernels);
+void ql_kernels_init_avx512bf16(ql_kernels *kernels); /* on top of the one above: bfloat16 alone */
 void ql_kernels_init_neon(ql_kernels *kernels);
 
 #endif

@@ -143,4 +143,5 @@ void ql_kernels_init_c(ql_kernels *kernels)
     kernels->tone_row = tone_row;
     kernels->planes_row = planes_row;
     ql_kernels_init_wide_c(kernels);
+    ql_kernels_init_bf16_c(kernels);
 }

@@ -394,4 +394,5 @@ static void fill_table(ql_kernels *kernels, const char *name)
     kernels->exp_row = exp_row;
     kernels->tone_row = tone_row;
     kernels->planes_row = planes_row;
+    kernels->bf16 = QL_BF16_NONE;
 }

@@ -6,6 +6,7 @@
  *
  * QUELL_SEED=N repeats a run; --bench prints ns per pixel.
  */
+#include "base/bf16.h"
 #include "base/clock.h"
 #include "base/cpu.h"
 #include "kernels/kernels.h"
@@ -389,6 +390,151 @@ static void test_expm1(const ql_kernels *c, const ql_kernels *k)
     expect("expm1_row against libm", k->name, a, b, bound, width, 4e-7);
 }
 
+/* ---- bfloat16 ----------------------------------------------------------------------------------------------------- */
+
+/* num bfloat16 numbers that end at a forbidden page. kind: as in fill; 3: every pattern of bits but infinities and NaN; 4:
+ * numbers from 2^-50 to 2^50, and those that count as 0. */
+static uint16_t *guarded_bf16(size_t num, int kind)
+{
+    if (num_blocks == MAX_BLOCKS) abort();
+    blocks[num_blocks].bytes = num * sizeof(uint16_t);
+    blocks[num_blocks].data = test_alloc_guarded(num * sizeof(uint16_t));
+    uint16_t *const p = blocks[num_blocks++].data;
+    for (size_t i = 0; i < num; ++i) {
+        float value;
+        fill(&value, 1, kind < 3 ? kind : 0);
+        p[i] = kind < 3 ? ql_bf16_from_float(value) : (uint16_t)random_bits();
+        if ((p[i] & 0x7f80u) == 0x7f80u) p[i] &= 0xbfffu;
+        if (kind != 4) continue;
+        const uint32_t exponent = random_below(8) ? 77 + random_below(101) : 0;
+        p[i] = (uint16_t)((p[i] & 0x807fu) | exponent << 7);
+    }
+    return p;
+}
+
+static void expect_same_bits(const char *what, const char *isa, const void *got, const void *want, size_t num_bytes)
+{
+    ++num_checks;
+    if (memcmp(got, want, num_bytes) == 0) return;
+    if (++num_failures < 20) printf("%s %s: the bits of %zu bytes differ from C's\n", isa, what, num_bytes);
+}
+
+/* A conversion is exact, of every pattern of bits; NaN stays NaN, but of which bits is not said. */
+static void test_bf16_rows(const ql_kernels *c, const ql_kernels *k)
+{
+    static const uint32_t special[] = {0x00000000u, 0x80000000u, 0x00000001u, 0x007fffffu, 0x00800000u, 0x807f8000u,
+                                       0x3f808000u, 0x3f818000u, 0x3f807fffu, 0x3f808001u, 0x7f7fffffu, 0x7f7f7fffu,
+                                       0x7f800000u, 0xff800000u, 0x7fc00000u, 0x7f800001u};
+    const uint32_t num = 1 + random_below(70);
+    float *const in = guarded(num), *const a = guarded(num), *const b = guarded(num);
+    for (uint32_t i = 0; i < num; ++i) {
+        const uint32_t bits = random_below(3) ? random_bits() : special[random_below(sizeof special / sizeof *special)];
+        memcpy(&in[i], &bits, sizeof bits);
+    }
+    uint16_t *const x = guarded_bf16(num, 3), *const y = guarded_bf16(num, 3);
+    k->bf16_round_row(in, x, num);
+    c->bf16_round_row(in, y, num);
+    for (uint32_t i = 0; i < num; ++i)
+        if (isnan(in[i]) && isnan(ql_bf16_to_float(x[i])) && isnan(ql_bf16_to_float(y[i]))) x[i] = y[i];
+    expect_same_bits("bf16_round_row", k->name, x, y, num * sizeof *x);
+    for (uint32_t i = 0; i < num; ++i) { /* what rounding is, by the distance to both neighbours */
+        const float value = ql_bf16_to_float(y[i]);
+        if (!isfinite(in[i]) || !isfinite(value) || fabsf(in[i]) < 0x1p-126f) continue;
+        const float below = ql_bf16_to_float((uint16_t)(y[i] - 1)), above = ql_bf16_to_float((uint16_t)(y[i] + 1));
+        const double error = fabs((double)value - (double)in[i]);
+        ++num_checks;
+        if (error <= fabs((double)below - (double)in[i]) && error <= fabs((double)above - (double)in[i]) &&
+            (error < fabs((double)below - (double)in[i]) || (y[i] & 1) == 0) &&
+            (error < fabs((double)above - (double)in[i]) || (y[i] & 1) == 0))
+            continue;
+        if (++num_failures < 20) printf("C bf16_round_row: %a becomes %a\n", (double)in[i], (double)value);
+    }
+    uint16_t *const every = guarded_bf16(num, 3);
+    k->bf16_expand_row(every, a, num);
+    c->bf16_expand_row(every, b, num);
+    expect_same_bits("bf16_expand_row", k->name, a, b, num * sizeof *a);
+    k->bf16_round_row(a, x, num); /* there and back; what is too small is 0 */
+    ++num_checks;
+    for (uint32_t i = 0; i < num; ++i) {
+        const uint16_t want = every[i] & 0x7f80u ? every[i] : every[i] & 0x8000u;
+        if (x[i] == want) continue;
+        ++num_failures;
+        printf("%s bf16: %#x comes back as %#x\n", k->name, every[i], x[i]);
+        break;
+    }
+
+    const uint32_t channels = QL_BLOCK * (1 + random_below(4)), width = 1 + random_below(20);
+    const size_t size = (size_t)channels * width;
+    const int kind = (int)random_below(3);
+    float *const add = guarded((size_t)channels * ((width + 1) / 2));
+    uint16_t *const map = guarded_bf16(size, kind), *const want = guarded_bf16(size, 0);
+    fill(add, (size_t)channels * ((width + 1) / 2), kind ? kind : 0);
+    if (random_below(2))
+        for (size_t i = 0; i < (size_t)channels * ((width + 1) / 2); ++i) add[i] = -add[i];
+    memcpy(want, map, size * sizeof *map);
+    k->bf16_add_row(add, map, channels, width);
+    c->bf16_add_row(add, want, channels, width);
+    expect_same_bits("bf16_add_row", k->name, map, want, size * sizeof *map);
+}
+
+/* The same bits, as the contract has it. The C version is also compared with exact sums. */
+static void test_bf16_conv(const ql_kernels *c, const ql_kernels *k)
+{
+    static const uint32_t channels[] = {2, 16, 32, 48, 64};
+    const uint32_t num_rows = 1 + random_below(QL_MAX_CONV_ROWS), in = channels[random_below(5)],
+                   num_pixels = 1 + random_below(40), num_out = QL_BLOCK * (1 + random_below(12)),
+                   num_k = (num_rows == 4 ? 2 : num_rows) * in, stride = num_rows == 2 ? num_k : in;
+    const size_t row = (size_t)(num_pixels - 1) * stride + num_k, num = (size_t)num_pixels * num_out;
+    const int is_extreme = random_below(3) == 0, kind = is_extreme ? 4 : (int)random_below(2);
+    float *const bias = guarded(num_out), *const a = guarded(num), *const b = guarded(num);
+    float *const exact = guarded(num), *const scale = guarded(num);
+    uint16_t *const weights = guarded_bf16((size_t)num_rows * num_k * num_out, is_extreme ? 4 : 0);
+    uint16_t *const x = guarded_bf16(num, 0), *const y = guarded_bf16(num, 0);
+    ql_bf16_conv_row conv = {.weights = weights, .bias = bias, .num_rows = num_rows, .num_k = num_k, .stride = stride};
+    fill(bias, num_out, is_extreme ? 2 : 0);
+    for (uint32_t r = 0; r < num_rows; ++r) conv.rows[r] = guarded_bf16(row, kind);
+    conv.relu = (int32_t)random_below(2);
+    conv.num_pixels = num_pixels;
+    conv.num_out = num_out;
+    conv.sums = a;
+    k->bf16_conv_row(&conv);
+    conv.sums = b;
+    c->bf16_conv_row(&conv);
+    for (size_t i = 0; i < num; ++i) { /* of zeros the sign is not said */
+        a[i] += 0.0f;
+        b[i] += 0.0f;
+    }
+    expect_same_bits("bf16_conv_row, sums", k->name, a, b, num * sizeof *a);
+    conv.sums = NULL;
+    conv.out = x;
+    k->bf16_conv_row(&conv);
+    conv.out = y;
+    c->bf16_conv_row(&conv);
+    for (size_t i = 0; i < num; ++i) {
+        x[i] = (uint16_t)(x[i] == 0x8000u ? 0 : x[i]);
+        y[i] = (uint16_t)(y[i] == 0x8000u ? 0 : y[i]);
+    }
+    expect_same_bits("bf16_conv_row", k->name, x, y, num * sizeof *x);
+    if (is_extreme || strcmp(k->name, "c") != 0) return;
+    for (uint32_t p = 0; p < num_pixels; ++p)
+        for (uint32_t o = 0; o < num_out; ++o) {
+            double sum = (double)bias[o], sizes = fabs(sum);
+            for (uint32_t i = 0; i < num_rows * num_k; ++i) {
+                const size_t at = ((size_t)(o / QL_BLOCK) * num_rows * num_k / 2 + i / 2) * QL_BLOCK + o % QL_BLOCK;
+                const double product = (double)ql_bf16_to_float(conv.rows[i / num_k][p * stride + i % num_k]) *
+                                       (double)ql_bf16_to_float(weights[2 * at + i % 2]);
+                sum += product;
+                sizes += fabs(product);
+            }
+            exact[p * num_out + o] = (float)(conv.relu && sum < 0.0 ? 0.0 : sum);
+            scale[p * num_out + o] = (float)sizes;
+        }
+    expect("bf16_conv_row against exact sums", k->name, b, exact, scale, num, 1.6e-6);
+    for (size_t i = 0; i < num; ++i) a[i] = ql_bf16_to_float(y[i]);
+    for (size_t i = 0; i < num; ++i) b[i] = ql_bf16_to_float(ql_bf16_from_float(b[i]));
+    expect_same_bits("bf16_conv_row, rounded", k->name, a, b, num * sizeof *a);
+}
+
 /* A value must not depend on where in a row it stands: tiles would show. Compares a row with its tail computed alone. */
 static void test_position(const ql_kernels *k)
 {
@@ -410,11 +556,49 @@ static void test_position(const ql_kernels *k)
         ++num_failures;
         printf("%s conv_row: bits depend on the position in the row\n", k->name);
     }
+
+    uint16_t *const narrow = guarded_bf16(IN * PIXELS, 0), *const pairs = guarded_bf16(IN * OUT, 0);
+    uint16_t *const x = guarded_bf16(OUT * PIXELS, 0), *const y = guarded_bf16(OUT * PIXELS, 0);
+    ql_bf16_conv_row bf16 = {{narrow}, pairs, bias, x, NULL, 1, IN, IN, PIXELS, OUT, 1};
+    k->bf16_conv_row(&bf16);
+    bf16.rows[0] = narrow + skip * IN;
+    bf16.out = y;
+    bf16.num_pixels = PIXELS - skip;
+    k->bf16_conv_row(&bf16);
+    ++num_checks;
+    if (memcmp(x + skip * OUT, y, (size_t)(PIXELS - skip) * OUT * sizeof *x) != 0) {
+        ++num_failures;
+        printf("%s bf16_conv_row: bits depend on the position in the row\n", k->name);
+    }
+}
+
+enum { IN = 48, PIXELS = 480 };
+
+static void bench_bf16(const ql_kernels *k, const float *bias, int rounds)
+{
+    const uint16_t *const row = guarded_bf16(3 * IN * (PIXELS + 2), 0), *const weights = guarded_bf16(9 * IN * IN, 0);
+    uint16_t *const out = guarded_bf16(IN * PIXELS, 0);
+    const ql_bf16_conv_row conv = {{row, row + IN * (PIXELS + 2), row + 2 * IN * (PIXELS + 2)},
+                                   weights,
+                                   bias,
+                                   out,
+                                   NULL,
+                                   3,
+                                   3 * IN,
+                                   IN,
+                                   PIXELS,
+                                   IN,
+                                   1};
+    k->bf16_conv_row(&conv);
+    const double start = ql_clock_seconds();
+    for (int i = 0; i < rounds; ++i) k->bf16_conv_row(&conv);
+    const double seconds = (ql_clock_seconds() - start) / rounds;
+    printf("%-10s the same in bfloat16:     %6.1f ns per pixel, %5.1f G multiply-adds/s\n", k->name,
+           seconds / PIXELS * 1e9, 9.0 * IN * IN * PIXELS / seconds * 1e-9);
 }
 
 static void bench(const ql_kernels *k)
 {
-    enum { IN = 48, PIXELS = 480 };
     float *const in = guarded(3 * IN * (PIXELS + 2)), *const weights = guarded(9 * IN * IN), *const bias = guarded(IN);
     float *const out = guarded(IN * PIXELS);
     fill(in, 3 * IN * (PIXELS + 2), 0);
@@ -437,14 +621,16 @@ static void bench(const ql_kernels *k)
     const double start = ql_clock_seconds();
     for (int i = 0; i < rounds; ++i) k->conv_row(&conv);
     const double seconds = (ql_clock_seconds() - start) / rounds;
-    printf("%-8s conv 3x3, 48 to 48 channels: %6.1f ns per pixel, %5.1f G multiply-adds/s\n", k->name,
+    printf("%-10s conv 3x3, 48 to 48 channels: %6.1f ns per pixel, %5.1f G multiply-adds/s\n", k->name,
            seconds / PIXELS * 1e9, 9.0 * IN * IN * PIXELS / seconds * 1e-9);
+    if (k->bf16 != QL_BF16_NONE) bench_bf16(k, bias, rounds);
     release_all();
 }
 
 int main(int argc, char **argv)
 {
-    static const uint32_t sets[] = {0, QL_CPU_AVX2, QL_CPU_AVX2 | QL_CPU_AVX512, QL_CPU_NEON};
+    static const uint32_t sets[] = {0, QL_CPU_AVX2, QL_CPU_AVX2 | QL_CPU_AVX512,
+                                    QL_CPU_AVX2 | QL_CPU_AVX512 | QL_CPU_AVX512_BF16, QL_CPU_NEON};
     const uint32_t have = ql_cpu_probe();
     const char *const seed = getenv("QUELL_SEED");
     if (seed) seed_state = strtoull(seed, NULL, 10);
@@ -476,6 +662,10 @@ int main(int argc, char **argv)
             test_norm(&c, &k);
             release_all();
             test_expm1(&c, &k);
+            release_all();
+            test_bf16_rows(&c, &k);
+            release_all();
+            test_bf16_conv(&c, &k);
             release_all();
             test_position(&k);
             release_all();
