@@ -88,7 +88,8 @@ enum {
     QUELL_CPU_C = 1,    /* plain C: the specification of every kernel */
     QUELL_CPU_AVX2 = 2,
     QUELL_CPU_AVX512 = 3,
-    QUELL_CPU_NEON = 4
+    QUELL_CPU_NEON = 4,
+    QUELL_CPU_AVX512_BF16 = 5 /* QUELL_CPU_AVX512 with bfloat16: see quell_options.precision */
 };
 
 enum { QUELL_LOG_WARNING = 1, QUELL_LOG_INFO = 2 };
@@ -119,7 +120,7 @@ QUELL_API void quell_context_destroy(quell_context *ctx);
  * context. Since: 0.1 */
 QUELL_API const char *quell_context_last_error(const quell_context *ctx);
 
-/* Name of the kernels in use ("c", "avx2", "avx512", "neon") and the number of threads. Since: 0.1 */
+/* Name of the kernels in use ("c", "avx2", "avx512", "avx512bf16", "neon") and the number of threads. Since: 0.1 */
 QUELL_API const char *quell_context_cpu_name(const quell_context *ctx);
 QUELL_API uint32_t quell_context_num_threads(const quell_context *ctx);
 
@@ -361,6 +362,16 @@ enum {
     QUELL_ITERATE_NETWORK = 1 /* the result goes through generator and kernels again */
 };
 
+/* Numbers in the middle of a network of the quell family: its feature maps at half resolution and below, and the weights
+ * between them. Everything else, and every sum, is float32. Results of one precision and one set of kernels are the same
+ * bits for any number of threads, any tiles and every run; docs/NUMERICS.md has what bfloat16 changes. */
+enum {
+    QUELL_PRECISION_AUTO = 0, /* bfloat16 with the kernels "avx512bf16", where it is faster; float32 with all others */
+    QUELL_PRECISION_FLOAT32 = 1,
+    QUELL_PRECISION_BFLOAT16 = 2 /* QUELL_ERR_UNSUPPORTED with kernels other than "avx512bf16" and, slowly, "c";
+                                    QUELL_ERR_INVALID_ARGUMENT with models of the kind DGAN-KPN, which have none */
+};
+
 enum {
     QUELL_DGAN_RUN_ALL =
         1 /* run all iterations of QUELL_ITERATE_NETWORK, also those that would change nothing visible */
@@ -377,6 +388,8 @@ typedef struct quell_options {
     quell_progress_fn progress; /* NULL: none */
     void *progress_user;
     const quell_dgan_options *dgan; /* NULL: defaults; with a model of another kind QUELL_ERR_INVALID_ARGUMENT */
+    int32_t precision;              /* QUELL_PRECISION_* */
+    uint32_t reserved1;             /* zero */
 } quell_options;
 
 enum {
@@ -397,8 +410,8 @@ typedef struct quell_report quell_report;
 /* Denoises the frame's layers in place (borrowed layers: in the caller's memory). options may be NULL.
  * out_report: NULL, or receives a report that the caller destroys; it is also made when nothing needed work.
  * On any error the pixels of the frame are as they were.
- * Returns QUELL_OK, QUELL_ERR_NO_LAYER, QUELL_ERR_INVALID_ARGUMENT, QUELL_ERR_OUT_OF_MEMORY, QUELL_ERR_CANCELLED.
- * Since: 0.1 */
+ * Returns QUELL_OK, QUELL_ERR_NO_LAYER, QUELL_ERR_INVALID_ARGUMENT, QUELL_ERR_UNSUPPORTED (a precision that the context's
+ * kernels lack), QUELL_ERR_OUT_OF_MEMORY, QUELL_ERR_CANCELLED. Since: 0.1 */
 QUELL_API QUELL_NODISCARD quell_status quell_denoise(quell_context *ctx, const quell_model *model, quell_frame *frame,
                                                      const quell_options *options, quell_report **out_report);
 
@@ -454,6 +467,8 @@ typedef struct quell_report_summary {
     uint32_t reserved0;
     uint32_t num_cells;        /* cells of 32x32 pixels, over all view layers that have something to denoise */
     uint32_t num_active_cells; /* those that are computed: elsewhere nothing is noisy */
+    int32_t precision;         /* QUELL_PRECISION_FLOAT32 or QUELL_PRECISION_BFLOAT16 */
+    uint32_t reserved1;
 } quell_report_summary;
 
 /* NULL is allowed. Since: 0.1 */

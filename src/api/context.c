@@ -17,13 +17,14 @@
 static quell_status choose_cpu(int32_t wanted, uint32_t *bits, ql_error *err)
 {
     const uint32_t present = ql_cpu_probe();
-    const uint32_t avx512 = QL_CPU_AVX2 | QL_CPU_AVX512 | QL_CPU_AVX512_BF16;
+    const uint32_t avx512 = QL_CPU_AVX2 | QL_CPU_AVX512, bf16 = avx512 | QL_CPU_AVX512_BF16;
     uint32_t allowed = 0, needed = 0;
     switch (wanted) {
     case QUELL_CPU_AUTO: allowed = present; break;
     case QUELL_CPU_C: break;
     case QUELL_CPU_AVX2: allowed = needed = QL_CPU_AVX2; break;
     case QUELL_CPU_AVX512: allowed = avx512, needed = QL_CPU_AVX512; break;
+    case QUELL_CPU_AVX512_BF16: allowed = needed = bf16; break;
     case QUELL_CPU_NEON: allowed = needed = QL_CPU_NEON; break;
     default: return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_context_options.cpu: no such kernels (%d)", wanted);
     }

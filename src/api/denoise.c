@@ -18,7 +18,8 @@ static quell_status read_options(const quell_options *given, quell_options *opti
                                  ql_error *err)
 {
     QL_TRY(ql_struct_read(options, sizeof *options, OPTIONS_V1, given, "quell_options", err));
-    if (options->reserved0 != 0) return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_options.reserved0 must be 0");
+    if (options->reserved0 != 0 || options->reserved1 != 0)
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_options.reserved0 and reserved1 must be 0");
     if (options->flags & ~KNOWN_FLAGS) {
         return ql_fail(err, QUELL_ERR_UNSUPPORTED, "quell_options.flags has bits that this version does not know: %#x",
                        options->flags & ~KNOWN_FLAGS);

@@ -28,7 +28,9 @@ static const char help_text[] =
     "      --threads N       default: one for each core\n"
     "      --max-memory MB   working memory beyond the image itself; smaller means smaller tiles; default 4096\n"
     "      --tile N          edge of a tile in pixels, instead of the one that --max-memory leads to\n"
-    "      --cpu KERNELS     auto (default), c, avx2, avx512, neon\n"
+    "      --cpu KERNELS     auto (default), c, avx2, avx512, avx512bf16, neon\n"
+    "      --precision WHICH of numbers inside the network: auto (default; bfloat16 with the kernels avx512bf16,\n"
+    "                        float32 with others), float32, bfloat16\n"
     "  -h, --help\n";
 
 enum { OPT_SIZE = CLI_OPT_OWN, OPT_LAYERS, OPT_FEATURES, OPT_RUNS, OPT_TILE, OPT_JSON };
@@ -95,6 +97,7 @@ static int parse(int argc, char **argv, bench_args *args, int *wants_help)
         CLI_COMMON_OPTIONS,
         {"model", required_argument, NULL, 'm'},
         {"quality", required_argument, NULL, CLI_OPT_QUALITY},
+        {"precision", required_argument, NULL, CLI_OPT_PRECISION},
         {"size", required_argument, NULL, OPT_SIZE},
         {"layers", required_argument, NULL, OPT_LAYERS},
         {"features", required_argument, NULL, OPT_FEATURES},
@@ -170,6 +173,7 @@ static int run_once(quell_context *ctx, const quell_model *model, quell_frame *f
                     quell_report_summary *summary)
 {
     quell_options options = {.struct_size = sizeof options, .tile_size = args->tile_size};
+    options.precision = args->common.precision;
     quell_report *report;
     const quell_status status = quell_denoise(ctx, model, frame, &options, &report);
     if (status != QUELL_OK) return cli_error_status(NULL, ctx, status);
@@ -222,6 +226,7 @@ static int print_json(quell_context *ctx, const bench_args *args, const quell_mo
     cJSON_AddStringToObject(json, "model", model->name);
     cJSON_AddItemToObject(json, "quality", level ? cJSON_CreateString(level) : cJSON_CreateNull());
     cJSON_AddStringToObject(json, "isa", quell_context_cpu_name(ctx));
+    cJSON_AddStringToObject(json, "precision", cli_precision_name(runs[0].precision));
     cli_json_number(json, "threads", quell_context_num_threads(ctx));
     cli_json_number(json, "width", args->width);
     cli_json_number(json, "height", args->height);
@@ -243,8 +248,9 @@ static void print_text(quell_context *ctx, const bench_args *args, const quell_m
                        const quell_report_summary *runs)
 {
     const quell_report_summary *const middle = &runs[(args->num_runs - 1) / 2];
-    printf("%s, %ux%u, %u %s, %s, %u threads\n", model->name, args->width, args->height, args->num_layers,
-           args->num_layers == 1 ? "layer" : "layers", quell_context_cpu_name(ctx), quell_context_num_threads(ctx));
+    printf("%s, %ux%u, %u %s, %s, %s, %u threads\n", model->name, args->width, args->height, args->num_layers,
+           args->num_layers == 1 ? "layer" : "layers", quell_context_cpu_name(ctx), cli_precision_name(middle->precision),
+           quell_context_num_threads(ctx));
     printf("  %.4f s (median of %u; %.4f to %.4f)\n", median_seconds(runs, args->num_runs), args->num_runs,
            runs[0].seconds_total, runs[args->num_runs - 1].seconds_total);
     printf("  analyse %.4f, features %.4f, network %.4f, filter %.4f, recombine %.4f\n", middle->seconds_analyse,

@@ -45,7 +45,8 @@ typedef struct cli_common {
     uint64_t max_memory_bytes;
     int32_t cpu;
     const char *model;
-    int32_t quality; /* QUELL_QUALITY_*; 0: not asked for */
+    int32_t quality;   /* QUELL_QUALITY_*; 0: not asked for */
+    int32_t precision; /* QUELL_PRECISION_* */
     int is_quiet;
 } cli_common;
 
@@ -57,6 +58,7 @@ enum {
     CLI_OPT_CPU,
     CLI_OPT_MODEL,
     CLI_OPT_QUALITY,
+    CLI_OPT_PRECISION,
     CLI_OPT_QUIET,
     CLI_OPT_OWN
 };
@@ -71,6 +73,9 @@ enum {
 
 /* Takes one of the common options. 0: taken; else an exit code, after a message. */
 int cli_common_option(cli_common *common, const char *command, int code, const char *argument);
+
+/* "float32" or "bfloat16", by QUELL_PRECISION_*; "auto". */
+const char *cli_precision_name(int32_t precision);
 
 /* Whole numbers of at most `max`, and decimal numbers: 0 on success, -1 when text is anything else. */
 int cli_parse_uint(const char *text, uint64_t max, uint64_t *out);

@@ -123,10 +123,30 @@ static int parse_cpu(const char *text, int32_t *out)
                  {"c", QUELL_CPU_C},
                  {"avx2", QUELL_CPU_AVX2},
                  {"avx512", QUELL_CPU_AVX512},
+                 {"avx512bf16", QUELL_CPU_AVX512_BF16},
                  {"neon", QUELL_CPU_NEON}};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         if (strcmp(text, names[i].name) != 0) continue;
         *out = names[i].cpu;
+        return 0;
+    }
+    return -1;
+}
+
+const char *cli_precision_name(int32_t precision)
+{
+    switch (precision) {
+    case QUELL_PRECISION_FLOAT32: return "float32";
+    case QUELL_PRECISION_BFLOAT16: return "bfloat16";
+    default: return "auto";
+    }
+}
+
+static int parse_precision(const char *text, int32_t *out)
+{
+    for (int32_t precision = QUELL_PRECISION_AUTO; precision <= QUELL_PRECISION_BFLOAT16; precision++) {
+        if (strcmp(text, cli_precision_name(precision)) != 0) continue;
+        *out = precision;
         return 0;
     }
     return -1;
@@ -150,7 +170,12 @@ int cli_common_option(cli_common *common, const char *command, int code, const c
         return 0;
     case CLI_OPT_CPU:
         if (parse_cpu(argument, &common->cpu) != 0) {
-            return cli_usage_error(command, "--cpu: '%s' is none of auto, c, avx2, avx512, neon", argument);
+            return cli_usage_error(command, "--cpu: '%s' is none of auto, c, avx2, avx512, avx512bf16, neon", argument);
+        }
+        return 0;
+    case CLI_OPT_PRECISION:
+        if (parse_precision(argument, &common->precision) != 0) {
+            return cli_usage_error(command, "--precision: '%s' is none of auto, float32, bfloat16", argument);
         }
         return 0;
     case CLI_OPT_MODEL: common->model = argument; return 0;

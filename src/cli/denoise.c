@@ -39,7 +39,9 @@ static const char help_text[] =
     "      --threads N       default: one for each core\n"
     "      --max-memory MB   working memory beyond the image itself; smaller means smaller tiles; default 4096\n"
     "      --tile N          edge of a tile in pixels, instead of the one that --max-memory leads to\n"
-    "      --cpu KERNELS     auto (default), c, avx2, avx512, neon\n"
+    "      --cpu KERNELS     auto (default), c, avx2, avx512, avx512bf16, neon\n"
+    "      --precision WHICH of numbers inside the network: auto (default; bfloat16 with the kernels avx512bf16,\n"
+    "                        float32 with others), float32, bfloat16\n"
     "  -q, --quiet           no progress and no summary; errors only\n"
     "  -h, --help\n"
     "\n"
@@ -167,6 +169,7 @@ static int parse(int argc, char **argv, denoise_args *args, int *wants_help)
         {"output", required_argument, NULL, 'o'},
         {"model", required_argument, NULL, 'm'},
         {"quality", required_argument, NULL, CLI_OPT_QUALITY},
+        {"precision", required_argument, NULL, CLI_OPT_PRECISION},
         {"layers", required_argument, NULL, 'l'},
         {"quiet", no_argument, NULL, 'q'},
         {"overwrite", no_argument, NULL, OPT_OVERWRITE},
@@ -285,6 +288,7 @@ static quell_status denoise_frame(quell_context *ctx, const quell_model *model, 
     options.flags = args->flags;
     options.layers = args->layers;
     options.tile_size = args->tile_size;
+    options.precision = args->common.precision;
     quell_dgan_options dgan = args->dgan;
     dgan.struct_size = sizeof dgan;
     if (args->has_dgan_options) options.dgan = &dgan;

@@ -93,6 +93,7 @@ cJSON *cli_json_summary(const quell_report_summary *summary)
     if (!json) return NULL;
     cJSON_AddStringToObject(json, "model", summary->model_name ? summary->model_name : "");
     cJSON_AddStringToObject(json, "combined", summary->combined ? summary->combined : "");
+    cJSON_AddStringToObject(json, "precision", cli_precision_name(summary->precision));
     if (summary->iterations) cli_json_number(json, "iterations", summary->iterations);
     cli_json_number(json, "tile_width", summary->tile_width);
     cli_json_number(json, "tile_height", summary->tile_height);

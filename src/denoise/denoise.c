@@ -204,6 +204,33 @@ static quell_status choose_tiles(work *w, uint32_t tile_size, uint64_t max_memor
     return QUELL_OK;
 }
 
+/* What the network's maps hold, by quell_options.precision. */
+static quell_status choose_values(const ql_kernels *kernels, const quell_options *options, int is_dgan,
+                                  ql_values *values, ql_error *err)
+{
+    *values = QL_VALUES_FLOAT;
+    switch (options->precision) {
+    case QUELL_PRECISION_AUTO:
+        if (kernels->bf16 == QL_BF16_FAST && !is_dgan) *values = QL_VALUES_BF16;
+        return QUELL_OK;
+    case QUELL_PRECISION_FLOAT32: return QUELL_OK;
+    case QUELL_PRECISION_BFLOAT16: break;
+    default:
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_options.precision: no such precision (%d)",
+                       options->precision);
+    }
+    if (is_dgan)
+        return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT,
+                       "models of the kind DGAN-KPN are computed in float32 alone; choose another model, or leave the "
+                       "precision to the library");
+    if (kernels->bf16 == QL_BF16_NONE)
+        return ql_fail(err, QUELL_ERR_UNSUPPORTED,
+                       "bfloat16 needs the kernels 'avx512bf16', and these are '%s'; leave the precision to the library",
+                       kernels->name);
+    *values = QL_VALUES_BF16;
+    return QUELL_OK;
+}
+
 /* DGAN-KPN: bands as wide as the image for the kernels; the generator needs the whole image. */
 static quell_status choose_bands(work *w, const ql_kernels *kernels, const quell_options *options,
                                  uint64_t max_memory_bytes, ql_error *err)
@@ -511,6 +538,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
         summary->num_cells += w->survey.cells[s].across * w->survey.cells[s].down;
         summary->num_active_cells += w->survey.cells[s].num_active;
     }
+    summary->precision = w->job.values == QL_VALUES_BF16 ? QUELL_PRECISION_BFLOAT16 : QUELL_PRECISION_FLOAT32;
     if (!dry) {
         summary->seconds_features = w->job.seconds_features;
         summary->seconds_network = w->job.seconds_network;
@@ -532,7 +560,9 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
     const double start = ql_clock_seconds();
     work w = {.env = env, .frame = frame, .flags = options->flags, .dgan = ql_model_dgan(model)};
     const char *const by_default = w.dgan ? "beauty" : NULL;
+    ql_values values;
     *report = NULL;
+    QL_TRY(choose_values(kernels, options, w.dgan != NULL, &values, err));
     if (w.dgan == NULL && options->dgan)
         return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT,
                        "settings of DGAN-KPN are given with a model that is none; choose 'dgan-kpn' or leave them out");
@@ -552,8 +582,12 @@ quell_status ql_denoise_frame(ql_env *env, const ql_kernels *kernels, const ql_m
         status = choose_bands(&w, kernels, options, max_memory_bytes, err);
         if (status == QUELL_OK && !dry) status = run_dgan(&w, err);
     } else if (status == QUELL_OK) {
-        w.job =
-            (ql_job){.kernels = kernels, .net = ql_model_net(model), .frame = frame, .plan = &w.plan, .scans = w.scans};
+        w.job = (ql_job){.kernels = kernels,
+                         .net = ql_model_net(model),
+                         .values = values,
+                         .frame = frame,
+                         .plan = &w.plan,
+                         .scans = w.scans};
         status = choose_tiles(&w, options->tile_size, max_memory_bytes, err);
         if (status == QUELL_OK) count_tiles(&w);
         if (status == QUELL_OK && !dry) status = run(&w, err);

@@ -211,8 +211,8 @@ static quell_status run_network(ql_job *job, ql_env *env, const ql_plan_set *set
         float flags[QL_NUM_FLAGS];
         ql_make_flags(setup, flags);
         const double start = ql_clock_seconds();
-        status =
-            ql_net_run(job->net, job->kernels, env, region->width, region->height, flags, feature_row, &f, maps, err);
+        status = ql_net_run(job->net, job->kernels, env, job->values, region->width, region->height, flags, feature_row,
+                            &f, maps, err);
         double features = 0.0;
         for (uint32_t i = 0; i < num_workers; ++i) features += f.seconds[i].seconds / num_workers;
         job->seconds_features += features;
@@ -680,8 +680,8 @@ static uint64_t divisor_bytes(const ql_job *job, uint32_t width, uint32_t height
 uint64_t ql_region_network_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t num_workers)
 {
     const uint64_t features = num_workers * sizeof(float) * feature_scratch_floats(job->frame->width) +
-                              ql_net_stem_bytes(width, num_workers) + ql_net_detail_bytes(job->net, width, num_workers);
-    return ql_net_peak_bytes(job->net, width, height, num_workers) + features;
+                              ql_net_stem_bytes(job->net, width, num_workers) + ql_net_detail_bytes(job->net, width, num_workers);
+    return ql_net_peak_bytes(job->net, job->values, width, height, num_workers) + features;
 }
 
 uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t strip_width,
@@ -692,7 +692,7 @@ uint64_t ql_region_peak_bytes(const ql_job *job, uint32_t width, uint32_t height
     const uint64_t wide = strip_width + 2 * (uint64_t)QL_PYRAMID_REACH;
     const uint32_t columns = wide < width ? (uint32_t)wide : width;
     /* Maps stay while the filters run. */
-    const uint64_t filters = ql_net_maps_bytes(job->net, width, height) +
+    const uint64_t filters = ql_net_maps_bytes(job->net, job->values, width, height) +
                              ql_net_window_bytes(columns, height, num_workers) +
                              batch_bytes(job, columns, height, num_workers) + divisor_bytes(job, columns, height) +
                              num_workers * sizeof(float) * batch_scratch_floats(image_width);

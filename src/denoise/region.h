@@ -14,6 +14,7 @@
 typedef struct ql_job {
     const ql_kernels *kernels;
     const ql_net *net;
+    ql_values values; /* of the network's maps */
     const ql_frame *frame;
     const ql_plan *plan;
     const ql_scan *scans; /* [num_layers]; empty for layers that nothing reads */

@@ -201,7 +201,7 @@ static quell_status encode(const ql_generator *g, const ql_kernels *kernels, ql_
 static quell_status run_blocks(const ql_generator *g, const ql_kernels *kernels, ql_env *env, maps *m, ql_error *err)
 {
     const ql_map *const top = &m->encoder[QL_GENERATOR_LEVELS - 1];
-    const size_t bytes = ql_map_bytes(top->width, top->height, top->channels);
+    const size_t bytes = ql_map_bytes(QL_VALUES_FLOAT, top->width, top->height, top->channels);
     QL_TRY(ql_map_create(&m->x, top->width, top->height, top->channels, env->memory, err));
     memcpy(m->x.data, top->data, bytes);
     for (uint32_t i = 0; i < g->num_blocks; ++i) {
@@ -275,9 +275,10 @@ uint64_t ql_generator_peak_bytes(const ql_generator *g, uint32_t width, uint32_t
 {
     /* Input and all encoder maps, and the two finest of the decoder. */
     const uint32_t w = align_up(width), h = align_up(height);
-    uint64_t bytes = ql_map_bytes(w, h, 3);
-    for (uint32_t i = 0; i < QL_GENERATOR_LEVELS; ++i) bytes += ql_map_bytes(w >> (i + 1), h >> (i + 1), g->widths[i]);
-    bytes += 3 * ql_map_bytes(w / 16, h / 16, g->widths[QL_GENERATOR_LEVELS - 1]);
-    bytes += ql_map_bytes(w, h, g->decoder[QL_GENERATOR_LEVELS - 1]);
-    return bytes + ql_map_bytes(w / 2, h / 2, g->decoder[QL_GENERATOR_LEVELS - 2]);
+    uint64_t bytes = ql_map_bytes(QL_VALUES_FLOAT, w, h, 3);
+    for (uint32_t i = 0; i < QL_GENERATOR_LEVELS; ++i)
+        bytes += ql_map_bytes(QL_VALUES_FLOAT, w >> (i + 1), h >> (i + 1), g->widths[i]);
+    bytes += 3 * ql_map_bytes(QL_VALUES_FLOAT, w / 16, h / 16, g->widths[QL_GENERATOR_LEVELS - 1]);
+    bytes += ql_map_bytes(QL_VALUES_FLOAT, w, h, g->decoder[QL_GENERATOR_LEVELS - 1]);
+    return bytes + ql_map_bytes(QL_VALUES_FLOAT, w / 2, h / 2, g->decoder[QL_GENERATOR_LEVELS - 2]);
 }

@@ -101,6 +101,14 @@ static quell_status load_tables(ql_net *net, const ql_weights *weights, ql_memor
                       err);
 }
 
+/* A layer inside the body: its weights in float and in bfloat16. */
+static quell_status load_inner(ql_conv *conv, const ql_weights *weights, const char *name, uint32_t size,
+                               uint32_t num_in, uint32_t num_out, ql_memory *memory, ql_error *err)
+{
+    QL_TRY(ql_conv_load(conv, weights, name, size, num_in, num_out, NULL, 0, memory, err));
+    return ql_conv_add_bf16(conv, memory, err);
+}
+
 static quell_status load_body(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
 {
     const uint32_t *const w = net->widths;
@@ -112,16 +120,16 @@ static quell_status load_body(ql_net *net, const ql_weights *weights, ql_memory 
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i) {
             snprintf(name, sizeof name, "encoder.%u.%u", l, i);
-            QL_TRY(ql_conv_load(&net->encoder[l][i], weights, name, 3, w[l], w[l], NULL, 0, memory, err));
+            QL_TRY(load_inner(&net->encoder[l][i], weights, name, 3, w[l], w[l], memory, err));
         }
         if (l + 1 == QL_NET_LEVELS) break;
         snprintf(name, sizeof name, "down.%u", l);
-        QL_TRY(ql_conv_load(&net->down[l], weights, name, 2, w[l], w[l + 1], NULL, 0, memory, err));
+        QL_TRY(load_inner(&net->down[l], weights, name, 2, w[l], w[l + 1], memory, err));
         snprintf(name, sizeof name, "up.%u", l);
-        QL_TRY(ql_conv_load(&net->up[l], weights, name, 1, w[l + 1], w[l], NULL, 0, memory, err));
+        QL_TRY(load_inner(&net->up[l], weights, name, 1, w[l + 1], w[l], memory, err));
         for (uint32_t i = 0; i < net->up_convs[l]; ++i) {
             snprintf(name, sizeof name, "decoder.%u.%u", l, i);
-            QL_TRY(ql_conv_load(&net->decoder[l][i], weights, name, 3, w[l], w[l], NULL, 0, memory, err));
+            QL_TRY(load_inner(&net->decoder[l][i], weights, name, 3, w[l], w[l], memory, err));
         }
     }
     return QUELL_OK;
@@ -236,16 +244,17 @@ uint32_t ql_net_reach(const ql_net *net)
 static quell_status go_down(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, const ql_map *from, ql_map *to,
                             ql_error *err)
 {
-    QL_TRY(ql_map_create(to, from->width / 2, from->height / 2, conv->num_out, env->memory, err));
+    QL_TRY(ql_map_create_of(to, from->values, from->width / 2, from->height / 2, conv->num_out, env->memory, err));
     return ql_conv_apply(conv, kernels, env, from, to, 1);
 }
 
-quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
-                        const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err)
+quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, ql_values values, uint32_t width,
+                        uint32_t height, const float *flags, ql_feature_source_fn *source, void *user,
+                        ql_net_maps *maps, ql_error *err)
 {
     memset(maps, 0, sizeof *maps);
     ql_map *const m = maps->level;
-    QL_TRY(ql_map_create(&m[0], width / 2, height / 2, net->widths[0], env->memory, err));
+    QL_TRY(ql_map_create_of(&m[0], values, width / 2, height / 2, net->widths[0], env->memory, err));
     QL_TRY(ql_net_stem(net, kernels, env, flags, source, user, &m[0], err));
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) {
         for (uint32_t i = 0; i < net->down_convs[l]; ++i)
@@ -268,19 +277,19 @@ void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory)
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_map_destroy(&maps->level[l], memory);
 }
 
-uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height)
+uint64_t ql_net_maps_bytes(const ql_net *net, ql_values values, uint32_t width, uint32_t height)
 {
     uint64_t bytes = ql_planes_bytes(width, height, QL_NET_DIMS, QL_NET_MARGIN);
     for (uint32_t l = 0; l < QL_NET_LEVELS; ++l)
-        bytes += ql_map_bytes(width >> (l + 1), height >> (l + 1), net->widths[l]);
+        bytes += ql_map_bytes(values, width >> (l + 1), height >> (l + 1), net->widths[l]);
     return bytes;
 }
 
-uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height, uint32_t num_workers)
+uint64_t ql_net_peak_bytes(const ql_net *net, ql_values values, uint32_t width, uint32_t height, uint32_t num_workers)
 {
     /* Beside what stays: the rows that convolutions in place keep; upsampling needs less. */
-    return ql_net_maps_bytes(net, width, height) +
-           ql_conv_in_place_bytes(width / 2, height / 2, net->widths[0], num_workers);
+    return ql_net_maps_bytes(net, values, width, height) +
+           ql_conv_in_place_bytes(values, width / 2, height / 2, net->widths[0], num_workers);
 }
 
 /* ---- The heads ---------------------------------------------------------------------------------------------------- */

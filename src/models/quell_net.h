@@ -76,12 +76,14 @@ typedef struct ql_net_window {
     ql_planes pooled[QL_NET_LEVELS];        /* means over 2x2 of embedding[l], at the size of level l + 1 */
 } ql_net_window;
 
-/* Runs the body on a region. flags: QL_NUM_FLAGS constants. maps is freed by ql_net_maps_destroy in any case. */
-quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, uint32_t width, uint32_t height,
-                        const float *flags, ql_feature_source_fn *source, void *user, ql_net_maps *maps, ql_error *err);
+/* Runs the body on a region, its maps holding such values. flags: QL_NUM_FLAGS constants. maps is freed by
+ * ql_net_maps_destroy in any case. */
+quell_status ql_net_run(const ql_net *net, const ql_kernels *kernels, ql_env *env, ql_values values, uint32_t width,
+                        uint32_t height, const float *flags, ql_feature_source_fn *source, void *user,
+                        ql_net_maps *maps, ql_error *err);
 void ql_net_maps_destroy(ql_net_maps *maps, ql_memory *memory);
-uint64_t ql_net_maps_bytes(const ql_net *net, uint32_t width, uint32_t height);
-uint64_t ql_net_peak_bytes(const ql_net *net, uint32_t width, uint32_t height, uint32_t num_workers);
+uint64_t ql_net_maps_bytes(const ql_net *net, ql_values values, uint32_t width, uint32_t height);
+uint64_t ql_net_peak_bytes(const ql_net *net, ql_values values, uint32_t width, uint32_t height, uint32_t num_workers);
 
 /* Full-resolution logits of the window's fine rows 2y and 2y + 1, fine pixels 2x .. 2x + 2 num - 1, num at most QL_HEAD_SPAN.
  * out: [2 rows][planes][2 num]. buffer: QL_HEAD_BUFFER floats. */

@@ -61,6 +61,7 @@ static quell_status load_phase(ql_conv *conv, const float *file, uint32_t dy, ui
     conv->num_out = num_out;
     conv->weights = ql_alloc(memory, 4 * (size_t)num_in * num_out, sizeof *conv->weights);
     conv->bias = ql_alloc_zero(memory, num_out, sizeof *conv->bias);
+    conv->bf16_weights = NULL;
     float *const merged = ql_alloc_zero(memory, 4 * tap, sizeof *merged);
     if (conv->weights == NULL || conv->bias == NULL || merged == NULL) {
         ql_free(memory, merged);
