@@ -89,7 +89,7 @@ enum {
     QUELL_CPU_AVX2 = 2,
     QUELL_CPU_AVX512 = 3,
     QUELL_CPU_NEON = 4,
-    QUELL_CPU_AVX512_BF16 = 5 /* QUELL_CPU_AVX512 with bfloat16: see quell_options.precision */
+    QUELL_CPU_AVX512BF16 = 5 /* QUELL_CPU_AVX512 with bfloat16: see quell_options.precision */
 };
 
 enum { QUELL_LOG_WARNING = 1, QUELL_LOG_INFO = 2 };

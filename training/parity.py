@@ -58,8 +58,8 @@ def by_tool(quell: Path, weights: Path, frame: ExrRender, folder: Path) -> ExrRe
     """The same frame through the command-line tool."""
     source, target = folder / "parity-in.exr", folder / "parity-out.exr"
     write_exr(source, frame.pixels, frame.spp, frame.present)
-    # The blend with the render is the library's own; the kernels are what both compute.
-    plain = ["--no-blend", "--no-skip"]
+    # The blend with the render is the library's own; the kernels are what both compute, in float32.
+    plain = ["--no-blend", "--no-skip", "--precision", "float32"]
     subprocess.run([quell, "denoise", source, "-o", target, "-m", weights, "-q", *plain], check=True)
     return read_exr(target)
 

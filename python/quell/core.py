@@ -237,7 +237,7 @@ class Context(_Handle):
 
     @property
     def cpu(self) -> str:
-        """Name of the kernels in use: "c", "avx2", "avx512" or "neon"."""
+        """Name of the kernels in use: "c", "avx2", "avx512", "avx512bf16" or "neon"."""
         return native.text(native.load().quell_context_cpu_name(self.pointer))
 
     @property
@@ -303,13 +303,15 @@ class Context(_Handle):
         progress: Progress | None = None,
         debug_layers: bool = False,
         quality: str | None = None,
+        precision: str = "auto",
     ) -> Report:
         """Denoises the frame's layers in place and says what was done.
 
         model: from open_model, or instead quality, a level of native.QUALITY; neither: the default. layers: "all",
         "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the noisy Combined
         stays as a layer "Noisy Image". debug_layers: the frame gets layers "Quell Noise", "Quell Confidence" and "Quell
-        Skipped" (docs/cli.md). On any error the pixels are as they were.
+        Skipped" (docs/cli.md). precision: a key of native.PRECISION, of numbers inside the network; "auto" is bfloat16 with
+        the kernels "avx512bf16" and float32 with others. On any error the pixels are as they were.
         """
         network = self._choose_model(model, quality)
         raised: list[BaseException] = []
@@ -328,6 +330,7 @@ class Context(_Handle):
             layers=None if layers is None else native.encoded(layers),
             tile_size=tile_size,
             progress=native.ProgressFn(forward),
+            precision=_choice(native.PRECISION, precision, "precision"),
         )
         report = native.HANDLE()
         status = native.load().quell_denoise(
@@ -454,6 +457,7 @@ def _report(pointer: native.HANDLE) -> Report:
         combined=native.text(summary.combined),
         peak_bytes=summary.peak_bytes,
         num_tiles=summary.num_tiles,
+        precision=next(name for name, value in native.PRECISION.items() if value == summary.precision),
         macs_per_pixel=summary.macs_per_pixel,
         seconds_features=summary.seconds_features,
         seconds_network=summary.seconds_network,

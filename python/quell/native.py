@@ -23,7 +23,8 @@ ABI_VERSION = (0, 1)
 
 OK = 0
 
-CPU = {"auto": 0, "c": 1, "avx2": 2, "avx512": 3, "neon": 4}
+CPU = {"auto": 0, "c": 1, "avx2": 2, "avx512": 3, "neon": 4, "avx512bf16": 5}
+PRECISION = {"auto": 0, "float32": 1, "bfloat16": 2}
 QUALITY = {"fast": 1, "balanced": 2, "high": 3}
 CODEC = {
     "keep": 0,
@@ -134,6 +135,9 @@ class Options(SizedStruct):
         ("reserved0", C.c_uint32),
         ("progress", ProgressFn),
         ("progress_user", C.c_void_p),
+        ("dgan", C.c_void_p),  # quell_dgan_options *, of which this package makes none
+        ("precision", C.c_int32),
+        ("reserved1", C.c_uint32),
     ]
 
 
@@ -166,6 +170,15 @@ class ReportSummary(SizedStruct):
         ("seconds_total", C.c_double),
         ("combined", C.c_char_p),
         ("model_name", C.c_char_p),
+        ("seconds_decode", C.c_double),
+        ("seconds_analyse", C.c_double),
+        ("seconds_recombine", C.c_double),
+        ("iterations", C.c_uint32),
+        ("reserved0", C.c_uint32),
+        ("num_cells", C.c_uint32),
+        ("num_active_cells", C.c_uint32),
+        ("precision", C.c_int32),
+        ("reserved1", C.c_uint32),
     ]
 
 

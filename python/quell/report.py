@@ -28,6 +28,7 @@ class Report:
     combined: str  # how Combined was rebuilt: "direct", "from passes", ...
     peak_bytes: int
     num_tiles: int
+    precision: str  # "float32" or "bfloat16": of numbers inside the network
     macs_per_pixel: float
     seconds_features: float
     seconds_network: float

@@ -24,7 +24,7 @@ static quell_status choose_cpu(int32_t wanted, uint32_t *bits, ql_error *err)
     case QUELL_CPU_C: break;
     case QUELL_CPU_AVX2: allowed = needed = QL_CPU_AVX2; break;
     case QUELL_CPU_AVX512: allowed = avx512, needed = QL_CPU_AVX512; break;
-    case QUELL_CPU_AVX512_BF16: allowed = needed = bf16; break;
+    case QUELL_CPU_AVX512BF16: allowed = needed = bf16; break;
     case QUELL_CPU_NEON: allowed = needed = QL_CPU_NEON; break;
     default: return ql_fail(err, QUELL_ERR_INVALID_ARGUMENT, "quell_context_options.cpu: no such kernels (%d)", wanted);
     }

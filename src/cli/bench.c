@@ -176,7 +176,10 @@ static int run_once(quell_context *ctx, const quell_model *model, quell_frame *f
     options.precision = args->common.precision;
     quell_report *report;
     const quell_status status = quell_denoise(ctx, model, frame, &options, &report);
-    if (status != QUELL_OK) return cli_error_status(NULL, ctx, status);
+    if (status != QUELL_OK) {
+        const int code = cli_error_status(NULL, ctx, status);
+        return status == QUELL_ERR_UNSUPPORTED ? CLI_EXIT_USAGE : code; /* --precision */
+    }
     *summary = (quell_report_summary){.struct_size = sizeof *summary};
     const quell_status got = quell_report_get_summary(report, summary);
     quell_report_destroy(report);

@@ -123,7 +123,7 @@ static int parse_cpu(const char *text, int32_t *out)
                  {"c", QUELL_CPU_C},
                  {"avx2", QUELL_CPU_AVX2},
                  {"avx512", QUELL_CPU_AVX512},
-                 {"avx512bf16", QUELL_CPU_AVX512_BF16},
+                 {"avx512bf16", QUELL_CPU_AVX512BF16},
                  {"neon", QUELL_CPU_NEON}};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         if (strcmp(text, names[i].name) != 0) continue;

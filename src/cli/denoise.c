@@ -315,6 +315,7 @@ static int denoise_file(quell_context *ctx, const quell_model *model, const deno
     cli_progress_end(&progress);
     const double denoised = now();
     result->seconds_denoise = denoised - read;
+    const int is_refused = status == QUELL_ERR_UNSUPPORTED; /* --precision, not the file */
 
     if (status == QUELL_OK && !args->is_dry) {
         quell_write_options options = {.struct_size = sizeof options, .codec = args->codec};
@@ -323,7 +324,7 @@ static int denoise_file(quell_context *ctx, const quell_model *model, const deno
     }
     const int code = status == QUELL_OK ? CLI_EXIT_OK : report_failure(ctx, input, status);
     quell_frame_destroy(frame);
-    return code;
+    return is_refused ? CLI_EXIT_USAGE : code;
 }
 
 /* ---- What was done ----------------------------------------------------------------------------------------------- */

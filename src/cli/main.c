@@ -65,7 +65,7 @@ static void print_missing_levels(quell_context *ctx)
 static void print_kernels(void)
 {
     printf("kernels:");
-    for (int32_t cpu = QUELL_CPU_C; cpu <= QUELL_CPU_NEON; cpu++) {
+    for (int32_t cpu = QUELL_CPU_C; cpu <= QUELL_CPU_AVX512BF16; cpu++) {
         quell_context_options options = {.struct_size = sizeof options, .num_threads = 1, .cpu = cpu};
         quell_context *ctx;
         if (quell_context_create(&options, &ctx) != QUELL_OK) continue;

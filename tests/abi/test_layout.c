@@ -64,7 +64,7 @@ static void structs_are_where_they_were(void **state)
     SIZE(quell_write_options, 8);
     AT(quell_write_options, codec, 4);
 
-    SIZE(quell_options, 48);
+    SIZE(quell_options, 56);
     AT(quell_options, flags, 4);
     AT(quell_options, layers, 8);
     AT(quell_options, tile_size, 16);
@@ -72,6 +72,8 @@ static void structs_are_where_they_were(void **state)
     AT(quell_options, progress, 24);
     AT(quell_options, progress_user, 32);
     AT(quell_options, dgan, 40);
+    AT(quell_options, precision, 48);
+    AT(quell_options, reserved1, 52);
 
     SIZE(quell_dgan_options, 24);
     AT(quell_dgan_options, parts, 4);
@@ -92,7 +94,7 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_layer, blend, 64);
     AT(quell_report_layer, change, 72);
 
-    SIZE(quell_report_summary, 128);
+    SIZE(quell_report_summary, 136);
     AT(quell_report_summary, num_layers, 4);
     AT(quell_report_summary, tile_width, 8);
     AT(quell_report_summary, tile_height, 12);
@@ -113,6 +115,8 @@ static void structs_are_where_they_were(void **state)
     AT(quell_report_summary, reserved0, 116);
     AT(quell_report_summary, num_cells, 120);
     AT(quell_report_summary, num_active_cells, 124);
+    AT(quell_report_summary, precision, 128);
+    AT(quell_report_summary, reserved1, 132);
 
     SIZE(quell_metrics, 56);
     AT(quell_metrics, reserved0, 4);
@@ -141,6 +145,10 @@ static void numbers_mean_what_they_meant(void **state)
     assert_int_equal(QUELL_ERR_LIMIT, -12);
     assert_int_equal(QUELL_ERR_INTERNAL, -13);
     assert_int_equal(QUELL_CPU_NEON, 4);
+    assert_int_equal(QUELL_CPU_AVX512BF16, 5);
+    assert_int_equal(QUELL_PRECISION_AUTO, 0);
+    assert_int_equal(QUELL_PRECISION_FLOAT32, 1);
+    assert_int_equal(QUELL_PRECISION_BFLOAT16, 2);
     assert_int_equal(QUELL_QUALITY_DEFAULT, 0);
     assert_int_equal(QUELL_QUALITY_FAST, 1);
     assert_int_equal(QUELL_QUALITY_BALANCED, 2);

@@ -81,16 +81,38 @@ static quell_frame *make_frame(const fixture *f, float *color, int32_t ownership
     return frame;
 }
 
-static float *denoised(const fixture *f, quell_context *ctx, uint32_t tile_size)
+static float *denoised_color(const fixture *f, quell_context *ctx, float *color, uint32_t tile_size, int32_t precision)
 {
     float *out = malloc(sizeof(float) * W * H * 4);
-    quell_frame *frame = make_frame(f, f->color, QUELL_LAYER_COPY);
-    quell_options options = {.struct_size = sizeof options, .tile_size = tile_size};
+    quell_frame *frame = make_frame(f, color, QUELL_LAYER_COPY);
+    quell_options options = {.struct_size = sizeof options, .tile_size = tile_size, .precision = precision};
     const quell_image image = packed(out, 4);
     assert_int_equal(quell_denoise(ctx, f->model, frame, &options, NULL), QUELL_OK);
     assert_int_equal(quell_frame_copy_layer(ctx, frame, 0, &image), QUELL_OK);
     quell_frame_destroy(frame);
     return out;
+}
+
+static float *denoised(const fixture *f, quell_context *ctx, uint32_t tile_size)
+{
+    return denoised_color(f, ctx, f->color, tile_size, QUELL_PRECISION_AUTO);
+}
+
+static quell_context *context_of(int32_t cpu, uint32_t threads)
+{
+    quell_context *ctx;
+    const quell_context_options options = {.struct_size = sizeof options, .num_threads = threads, .cpu = cpu};
+    const quell_status status = quell_context_create(&options, &ctx);
+    assert_true(status == QUELL_OK || status == QUELL_ERR_UNSUPPORTED);
+    return status == QUELL_OK ? ctx : NULL;
+}
+
+/* Kernels with bfloat16: this machine's, or the specification. */
+static int32_t bf16_cpu(void)
+{
+    quell_context *const ctx = context_of(QUELL_CPU_AVX512BF16, 1);
+    quell_context_destroy(ctx);
+    return ctx ? QUELL_CPU_AVX512BF16 : QUELL_CPU_C;
 }
 
 /* ---- Contexts and structs ---------------------------------------------------------------------------------------- */
@@ -340,19 +362,116 @@ static void threads_and_tiles_do_not_change_a_bit(void **state)
 {
     const fixture *f = *state;
     const size_t bytes = sizeof(float) * W * H * 4;
-    float *expected = denoised(f, f->ctx, 0);
-    for (uint32_t threads = 1; threads <= 3; threads++) {
-        quell_context *ctx;
-        quell_context_options options = {.struct_size = sizeof options, .num_threads = threads};
-        assert_int_equal(quell_context_create(&options, &ctx), QUELL_OK);
-        for (uint32_t tile = 32; tile <= 64; tile += 32) {
-            float *out = denoised(f, ctx, tile);
-            assert_memory_equal(out, expected, bytes);
+    for (int32_t precision = QUELL_PRECISION_AUTO; precision <= QUELL_PRECISION_BFLOAT16; precision++) {
+        float *expected = NULL;
+        for (uint32_t threads = 1; threads <= 3; threads++) {
+            quell_context *const ctx =
+                context_of(precision == QUELL_PRECISION_BFLOAT16 ? bf16_cpu() : QUELL_CPU_AUTO, threads);
+            if (!expected) expected = denoised_color(f, ctx, f->color, 0, precision);
+            for (uint32_t tile = 32; tile <= 64; tile += 32) {
+                float *out = denoised_color(f, ctx, f->color, tile, precision);
+                assert_memory_equal(out, expected, bytes);
+                free(out);
+            }
+            quell_context_destroy(ctx);
+        }
+        free(expected);
+    }
+}
+
+static void radiance_scales_exactly_in_each_precision(void **state)
+{
+    const fixture *f = *state;
+    quell_context *const ctx = context_of(bf16_cpu(), 2);
+    float *scaled = malloc(sizeof(float) * W * H * 4);
+    for (int32_t precision = QUELL_PRECISION_FLOAT32; precision <= QUELL_PRECISION_BFLOAT16; precision++) {
+        float *once = denoised_color(f, ctx, f->color, 0, precision);
+        for (int exponent = -20; exponent <= 40; exponent += 12) {
+            for (size_t i = 0; i < W * H * 4; i++) scaled[i] = i % 4 == 3 ? 1.0f : ldexpf(f->color[i], exponent);
+            float *out = denoised_color(f, ctx, scaled, 0, precision);
+            for (size_t i = 0; i < W * H * 4; i++)
+                assert_true(out[i] == (i % 4 == 3 ? once[i] : ldexpf(once[i], exponent)));
             free(out);
         }
+        free(once);
+    }
+    free(scaled);
+    quell_context_destroy(ctx);
+}
+
+/* What ran, by the report. */
+static quell_status precision_used(const fixture *f, quell_context *ctx, const quell_model *model, int32_t precision,
+                                   int32_t *used)
+{
+    quell_report *report;
+    quell_report_summary summary = {.struct_size = sizeof summary};
+    quell_options options = {.struct_size = sizeof options, .precision = precision};
+    quell_frame *frame = make_frame(f, f->color, QUELL_LAYER_COPY);
+    const quell_status status = quell_plan(ctx, model, frame, &options, &report);
+    if (status == QUELL_OK) {
+        assert_int_equal(quell_report_get_summary(report, &summary), QUELL_OK);
+        quell_report_destroy(report);
+        *used = summary.precision;
+    }
+    quell_frame_destroy(frame);
+    return status;
+}
+
+static void precision_is_what_was_asked_for(void **state)
+{
+    const fixture *f = *state;
+    quell_model *dgan;
+    int32_t used = -1;
+    assert_int_equal(quell_model_open(f->ctx, "tests/golden/dgan_small.qwt", &dgan), QUELL_OK);
+    for (int32_t cpu = QUELL_CPU_C; cpu <= QUELL_CPU_AVX512BF16; cpu++) {
+        const int32_t fastest =
+            cpu == QUELL_CPU_AVX512BF16 ? QUELL_PRECISION_BFLOAT16 : QUELL_PRECISION_FLOAT32;
+        quell_context *const ctx = context_of(cpu, 1);
+        if (!ctx) continue;
+        assert_int_equal(precision_used(f, ctx, f->model, QUELL_PRECISION_AUTO, &used), QUELL_OK);
+        assert_int_equal(used, fastest);
+        assert_int_equal(precision_used(f, ctx, f->model, QUELL_PRECISION_FLOAT32, &used), QUELL_OK);
+        assert_int_equal(used, QUELL_PRECISION_FLOAT32);
+        assert_int_equal(precision_used(f, ctx, dgan, QUELL_PRECISION_AUTO, &used), QUELL_OK);
+        assert_int_equal(used, QUELL_PRECISION_FLOAT32);
+        const quell_status status = precision_used(f, ctx, f->model, QUELL_PRECISION_BFLOAT16, &used);
+        if (cpu == QUELL_CPU_C || cpu == QUELL_CPU_AVX512BF16) {
+            assert_int_equal(status, QUELL_OK);
+            assert_int_equal(used, QUELL_PRECISION_BFLOAT16);
+        } else {
+            assert_int_equal(status, QUELL_ERR_UNSUPPORTED);
+            assert_non_null(strstr(quell_context_last_error(ctx), quell_context_cpu_name(ctx)));
+        }
+        assert_int_equal(precision_used(f, ctx, dgan, QUELL_PRECISION_BFLOAT16, &used), QUELL_ERR_INVALID_ARGUMENT);
+        assert_int_equal(precision_used(f, ctx, f->model, 3, &used), QUELL_ERR_INVALID_ARGUMENT);
+        assert_int_equal(precision_used(f, ctx, f->model, -1, &used), QUELL_ERR_INVALID_ARGUMENT);
         quell_context_destroy(ctx);
     }
+    quell_model_destroy(dgan);
+}
+
+/* Float is float: the kernels with bfloat16 give the bits of those without, and bfloat16 gives others, near them. */
+static void bfloat16_changes_little_and_only_where_asked_for(void **state)
+{
+    const fixture *f = *state;
+    quell_context *const with = context_of(QUELL_CPU_AVX512BF16, 2), *const without = context_of(QUELL_CPU_AVX512, 2);
+    if (!with) {
+        print_message("SKIP: this machine lacks AVX512_BF16\n");
+        quell_context_destroy(without);
+        return;
+    }
+    float *expected = denoised(f, without, 0);
+    float *same = denoised_color(f, with, f->color, 0, QUELL_PRECISION_FLOAT32);
+    float *other = denoised(f, with, 0);
+    assert_memory_equal(same, expected, sizeof(float) * W * H * 4);
+    assert_memory_not_equal(other, expected, sizeof(float) * W * H * 4);
+    for (size_t i = 0; i < W * H * 4; i++)
+        assert_true(fabsf(other[i] - expected[i]) <= 0.03f * fabsf(expected[i]) + 1e-3f);
     free(expected);
+    free(same);
+    free(other);
+    quell_context_destroy(with);
+    quell_context_destroy(without);
 }
 
 static void caller_keeps_its_floating_point_mode(void **state)
@@ -418,6 +537,9 @@ static void options_are_checked(void **state)
     options.reserved0 = 1;
     assert_int_equal(quell_denoise(f->ctx, f->model, frame, &options, NULL), QUELL_ERR_INVALID_ARGUMENT);
     options.reserved0 = 0;
+    options.reserved1 = 1;
+    assert_int_equal(quell_denoise(f->ctx, f->model, frame, &options, NULL), QUELL_ERR_INVALID_ARGUMENT);
+    options.reserved1 = 0;
     options.layers = "No Such Layer";
     assert_int_equal(quell_denoise(f->ctx, f->model, frame, &options, NULL), QUELL_ERR_NO_LAYER);
     assert_non_null(strstr(quell_context_last_error(f->ctx), "No Such Layer"));
@@ -465,6 +587,9 @@ int main(void)
         cmocka_unit_test(borrowed_memory_receives_the_result),
         cmocka_unit_test(planning_changes_nothing),
         cmocka_unit_test(threads_and_tiles_do_not_change_a_bit),
+        cmocka_unit_test(radiance_scales_exactly_in_each_precision),
+        cmocka_unit_test(precision_is_what_was_asked_for),
+        cmocka_unit_test(bfloat16_changes_little_and_only_where_asked_for),
         cmocka_unit_test(caller_keeps_its_floating_point_mode),
         cmocka_unit_test(cancelled_jobs_leave_no_trace),
         cmocka_unit_test(options_are_checked),

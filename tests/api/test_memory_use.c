@@ -80,12 +80,14 @@ static quell_frame *new_frame(fixture *f, uint32_t width, uint32_t height, uint3
     return frame;
 }
 
-static quell_report_summary planned(fixture *f, uint32_t width, uint32_t height, uint32_t num_layers)
+static quell_report_summary planned(fixture *f, int32_t precision, uint32_t width, uint32_t height,
+                                    uint32_t num_layers)
 {
+    const quell_options options = {.struct_size = sizeof options, .precision = precision};
     quell_report_summary summary = {.struct_size = sizeof summary};
     quell_report *report;
     quell_frame *const frame = new_frame(f, width, height, num_layers, QUELL_LAYER_BORROW);
-    assert_int_equal(quell_plan(f->ctx, f->model, frame, NULL, &report), QUELL_OK);
+    assert_int_equal(quell_plan(f->ctx, f->model, frame, &options, &report), QUELL_OK);
     assert_int_equal(quell_report_get_summary(report, &summary), QUELL_OK);
     quell_report_destroy(report);
     quell_frame_destroy(frame);
@@ -104,24 +106,28 @@ static void large_frames_stay_modest(void **state)
         {3840, 2160, 1, 1200000000},
         {3840, 2160, 4, 1200000000},
     };
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        const quell_report_summary s = planned(*state, cases[i].width, cases[i].height, cases[i].num_layers);
-        print_message("%ux%u, %u layers: %.1f MB, tiles of %ux%u\n", cases[i].width, cases[i].height,
-                      cases[i].num_layers, (double)s.peak_bytes / 1e6, s.tile_width, s.tile_height);
-        assert_true(s.peak_bytes <= cases[i].most);
+    for (size_t i = 0; i < 2 * sizeof cases / sizeof *cases; i++) {
+        const uint32_t width = cases[i / 2].width, height = cases[i / 2].height, num = cases[i / 2].num_layers;
+        const int32_t precision = i % 2 ? QUELL_PRECISION_FLOAT32 : QUELL_PRECISION_AUTO;
+        const quell_report_summary s = planned(*state, precision, width, height, num);
+        print_message("%ux%u, %u layers, %s: %.1f MB, tiles of %ux%u\n", width, height, num,
+                      s.precision == QUELL_PRECISION_FLOAT32 ? "float32" : "bfloat16", (double)s.peak_bytes / 1e6,
+                      s.tile_width, s.tile_height);
+        assert_true(s.peak_bytes <= cases[i / 2].most);
     }
 }
 
 /* Denoises the noise of 1280x224 pixels within a limit; result: [height][width][3]. */
-static quell_report_summary denoised(fixture *f, uint64_t limit, float *result)
+static quell_report_summary denoised(fixture *f, int32_t precision, uint64_t limit, float *result)
 {
+    const quell_options options = {.struct_size = sizeof options, .precision = precision};
     quell_report_summary summary = {.struct_size = sizeof summary};
     const quell_image image = {
         .struct_size = sizeof image, .width = WIDTH, .height = HEIGHT, .num_channels = 3, .data = result};
     quell_report *report;
     quell_context *const ctx = new_context(limit);
     quell_frame *const frame = new_frame(f, WIDTH, HEIGHT, 4, QUELL_LAYER_COPY);
-    assert_int_equal(quell_denoise(ctx, f->model, frame, NULL, &report), QUELL_OK);
+    assert_int_equal(quell_denoise(ctx, f->model, frame, &options, &report), QUELL_OK);
     assert_int_equal(quell_report_get_summary(report, &summary), QUELL_OK);
     assert_int_equal(quell_frame_copy_layer(ctx, frame, 0, &image), QUELL_OK);
     quell_report_destroy(report);
@@ -130,18 +136,17 @@ static quell_report_summary denoised(fixture *f, uint64_t limit, float *result)
     return summary;
 }
 
-static void limits_make_strips_and_tiles(void **state)
+static void limits_make_strips_and_tiles_in(fixture *f, int32_t precision)
 {
-    fixture *const f = *state;
     const size_t num_bytes = (size_t)WIDTH * HEIGHT * 3 * sizeof(float);
     float *const whole = malloc(num_bytes), *const within = malloc(num_bytes);
     assert_true(whole && within);
-    const uint64_t plan = planned(f, WIDTH, HEIGHT, 4).peak_bytes;
-    const quell_report_summary first = denoised(f, 0, whole);
+    const uint64_t plan = planned(f, precision, WIDTH, HEIGHT, 4).peak_bytes;
+    const quell_report_summary first = denoised(f, precision, 0, whole);
     assert_true(first.peak_bytes <= plan && first.num_tiles == 1);
     int num_strips = 0, num_tiled = 0;
     for (uint64_t limit = plan - plan / 16; limit > plan / 4; limit -= plan / 8) {
-        const quell_report_summary s = denoised(f, limit, within);
+        const quell_report_summary s = denoised(f, precision, limit, within);
         assert_true(s.peak_bytes <= limit);
         assert_memory_equal(within, whole, num_bytes);
         num_strips += s.num_tiles == 1; /* less memory, and still one tile */
@@ -150,6 +155,12 @@ static void limits_make_strips_and_tiles(void **state)
     assert_true(num_strips > 0 && num_tiled > 0);
     free(whole);
     free(within);
+}
+
+static void limits_make_strips_and_tiles(void **state)
+{
+    limits_make_strips_and_tiles_in(*state, QUELL_PRECISION_AUTO);
+    limits_make_strips_and_tiles_in(*state, QUELL_PRECISION_FLOAT32);
 }
 
 int main(void)

@@ -16,6 +16,7 @@ typedef struct fixture {
     quell_model *model;
     float color[NUM_VALUES], lent[NUM_VALUES], expected[NUM_VALUES];
     quell_frame *frame;
+    quell_options options;
 } fixture;
 
 static quell_image packed(float *data)
@@ -24,9 +25,10 @@ static quell_image packed(float *data)
     return image;
 }
 
-static int set_up_with(void **state, const char *model)
+static int set_up_with(void **state, const char *model, int32_t precision)
 {
     fixture *f = calloc(1, sizeof *f);
+    f->options = (quell_options){.struct_size = sizeof f->options, .precision = precision};
     quell_context_options options = {.struct_size = sizeof options, .num_threads = 2};
     assert_int_equal(quell_context_create(&options, &f->ctx), QUELL_OK);
     assert_int_equal(quell_model_open(f->ctx, model, &f->model), QUELL_OK);
@@ -35,7 +37,7 @@ static int set_up_with(void **state, const char *model)
     const quell_image image = packed(f->lent);
     assert_int_equal(quell_frame_create(f->ctx, W, H, &f->frame), QUELL_OK);
     assert_int_equal(quell_frame_add_layer(f->ctx, f->frame, "Combined", &image, QUELL_LAYER_BORROW, NULL), QUELL_OK);
-    assert_int_equal(quell_denoise(f->ctx, f->model, f->frame, NULL, NULL), QUELL_OK);
+    assert_int_equal(quell_denoise(f->ctx, f->model, f->frame, &f->options, NULL), QUELL_OK);
     memcpy(f->expected, f->lent, sizeof f->lent);
     *state = f;
     return 0;
@@ -43,12 +45,17 @@ static int set_up_with(void **state, const char *model)
 
 static int set_up(void **state)
 {
-    return set_up_with(state, NULL);
+    return set_up_with(state, NULL, QUELL_PRECISION_AUTO);
+}
+
+static int set_up_float32(void **state)
+{
+    return set_up_with(state, NULL, QUELL_PRECISION_FLOAT32);
 }
 
 static int set_up_dgan(void **state)
 {
-    return set_up_with(state, "tests/golden/dgan_small.qwt");
+    return set_up_with(state, "tests/golden/dgan_small.qwt", QUELL_PRECISION_AUTO);
 }
 
 static int tear_down(void **state)
@@ -68,7 +75,7 @@ static int fail_each_allocation(fixture *f, ql_memory *memory)
         memcpy(f->lent, f->color, sizeof f->color);
         const uint64_t used_before = f->ctx->memory.used_bytes;
         memory->fail_at = n;
-        const quell_status status = quell_denoise(f->ctx, f->model, f->frame, NULL, NULL);
+        const quell_status status = quell_denoise(f->ctx, f->model, f->frame, &f->options, NULL);
         const int was_reached = memory->fail_at == 0;
         memory->fail_at = 0;
         assert_int_equal(f->ctx->memory.used_bytes, used_before);
@@ -182,7 +189,7 @@ static void limits_hold(void **state)
         quell_context_options options = {.struct_size = sizeof options, .num_threads = 1, .max_memory_bytes = limit};
         assert_int_equal(quell_context_create(&options, &ctx), QUELL_OK);
         memcpy(f->lent, f->color, sizeof f->color);
-        const quell_status status = quell_denoise(ctx, f->model, f->frame, NULL, NULL);
+        const quell_status status = quell_denoise(ctx, f->model, f->frame, &f->options, NULL);
         if (status == QUELL_OK) {
             assert_memory_equal(f->lent, f->expected, sizeof f->lent);
             num_done++;
@@ -208,11 +215,12 @@ int main(void)
         cmocka_unit_test(limits_hold),
         cmocka_unit_test(debug_layers_may_fail), /* leaves the frame with more layers: the last */
     };
-    const struct CMUnitTest dgan_tests[] = {
+    const struct CMUnitTest denoise_tests[] = {
         cmocka_unit_test(working_memory_may_fail),
         cmocka_unit_test(memory_of_the_frame_may_fail),
         cmocka_unit_test(limits_hold),
     };
-    const int failed = cmocka_run_group_tests(tests, set_up, tear_down);
-    return failed + cmocka_run_group_tests(dgan_tests, set_up_dgan, tear_down);
+    const int failed = cmocka_run_group_tests(tests, set_up, tear_down) +
+                       cmocka_run_group_tests(denoise_tests, set_up_float32, tear_down);
+    return failed + cmocka_run_group_tests(denoise_tests, set_up_dgan, tear_down);
 }

@@ -16,7 +16,7 @@ def run(quell, *options: object) -> dict:
 
 def test_json(quell):
     result = run(quell, "--threads", 1, "--cpu", "c")
-    expected = {"isa": "c", "threads": 1, "width": 96, "height": 64, "layers": 10, "runs": 2, "features": "all"}
+    expected = {"isa": "c", "precision": "float32", "threads": 1, "width": 96, "height": 64, "layers": 10, "runs": 2, "features": "all"}
     assert result | expected == result
     assert 0 < result["min_s"] <= result["median_s"] <= result["max_s"]
     assert result["peak_bytes"] > 96 * 64 * 4 and result["macs_per_pixel"] > 1000 and result["gmacs_per_s"] > 0
@@ -41,6 +41,13 @@ def test_tiles_and_text(quell):
     assert text.startswith("quell-balanced, 320x200, 1 layer, ") and "20 tiles" in text
 
 
+def test_precision(quell):
+    assert run(quell, "--layers", 1, "--precision", "float32")["precision"] == "float32"
+    assert run(quell, "--layers", 1, "--precision", "bfloat16", "--cpu", "c")["precision"] == "bfloat16"
+    usual = run(quell, "--layers", 1)
+    assert usual["precision"] == ("bfloat16" if usual["isa"] == "avx512bf16" else "float32")
+
+
 def test_wrong_use(quell):
     for arguments in (
         ["--size", "96"],
@@ -52,6 +59,7 @@ def test_wrong_use(quell):
         ["--runs", "none"],
         ["--features", "some"],
         ["--tile", "-1"],
+        ["--precision", "half"],
         ["file.exr"],
     ):
         done = quell("bench", *arguments)

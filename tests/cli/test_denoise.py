@@ -155,19 +155,62 @@ def test_threads_tiles_memory_and_reruns_do_not_change_a_bit(quell, data, tmp_pa
 
 def test_kernels_agree(quell, data, tmp_path, exr_reader):
     """Every instruction set of this machine against plain C, on a whole file."""
-    version = quell.ok("--version", "-v").stdout
-    names = next(line for line in version.splitlines() if line.startswith("kernels:")).split()[1:]
+    names = kernels(quell)
     assert "c" in names
-    results = {}
+    source, results = data / "50_zip_float.exr", {}
     for name in names:
-        quell.ok("denoise", data / "50_zip_float.exr", "-q", "--cpu", name, "-o", tmp_path / f"{name}.exr")
-        results[name] = exr_reader(tmp_path / f"{name}.exr")
+        path = tmp_path / f"{name}.exr"
+        quell.ok("denoise", source, "-q", "--cpu", name, "--precision", "float32", "-o", path)
+        results[name] = exr_reader(path)
     for name in names:
         for channel, pixels in results["c"].items():
             if pixels.dtype == np.float32:
                 np.testing.assert_allclose(
                     results[name][channel], pixels, rtol=2e-3, atol=2e-5, err_msg=f"{name} {channel}"
                 )
+
+
+def kernels(quell) -> list[str]:
+    version = quell.ok("--version", "-v").stdout
+    return next(line for line in version.splitlines() if line.startswith("kernels:")).split()[1:]
+
+
+def test_precision_is_the_kernels_or_the_one_asked_for(quell, data, tmp_path):
+    """float32 is the same bits whether the kernels have bfloat16 or not, and what --cpu avx512 gives."""
+    source, report = data / "45_all_two_layers.exr", tmp_path / "report.json"
+    files = {}
+    for cpu in kernels(quell):
+        for precision in ("auto", "float32"):
+            path = tmp_path / f"{cpu}-{precision}.exr"
+            options = ["--cpu", cpu, "--precision", precision, "--report", report]
+            quell.ok("denoise", source, "-q", "-o", path, *options)
+            used = json.loads(report.read_text())["files"][0]["summary"]["precision"]
+            assert used == ("bfloat16" if (cpu, precision) == ("avx512bf16", "auto") else "float32")
+            files[cpu, precision] = path.read_bytes()
+        if cpu != "avx512bf16":
+            assert files[cpu, "auto"] == files[cpu, "float32"]
+        if cpu not in ("c", "avx512bf16"):
+            line = quell.fails(2, "denoise", source, "-o", tmp_path / "no.exr", "--cpu", cpu, "--precision", "bfloat16")
+            assert f"these are '{cpu}'" in line
+    if "avx512bf16" not in kernels(quell):
+        pytest.skip("this machine lacks AVX512_BF16")
+    assert files["avx512bf16", "float32"] == files["avx512", "float32"]
+    assert files["avx512bf16", "auto"] != files["avx512", "float32"]
+
+
+def test_bfloat16_stays_near_float32(quell, data, tmp_path, exr_reader):
+    """Plain C's too, which every machine has: rounding to 8 bits inside the network, on tiny noisy pictures."""
+    source, results = data / "50_zip_float.exr", {}
+    for name in [n for n in kernels(quell) if n in ("c", "avx512bf16")]:
+        for precision in ("float32", "bfloat16"):
+            path = tmp_path / f"{name}-{precision}.exr"
+            quell.ok("denoise", source, "-q", "--cpu", name, "--precision", precision, "-o", path)
+            results[name, precision] = exr_reader(path)
+    for (name, precision), channels in results.items():
+        for channel, pixels in results["c", "float32"].items():
+            if pixels.dtype == np.float32:
+                near = {"rtol": 2e-2, "atol": 2e-3} if precision == "bfloat16" else {"rtol": 2e-3, "atol": 2e-5}
+                np.testing.assert_allclose(channels[channel], pixels, **near, err_msg=f"{name} {precision} {channel}")
 
 
 def test_exposure_scales_exactly(quell, data, tmp_path, exr_reader, exr_writer):

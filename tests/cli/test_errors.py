@@ -168,6 +168,7 @@ def test_too_little_memory(quell, data, out, tmp_path, exr_writer):
         ["denoise", "a.exr", "-o", "b.exr", "--codec", "jpeg"],
         ["denoise", "a.exr", "-o", "b.exr", "--max-memory", "0"],
         ["denoise", "a.exr", "-o", "b.exr", "--cpu", "z80"],
+        ["denoise", "a.exr", "-o", "b.exr", "--precision", "half"],
         ["denoise", "a.exr", "-o", "b.exr", "--tile", "x"],
         ["denoise", "a.exr", "-o", "b.exr", "--no-such-option"],
         ["denoise", "a.exr", "-o", "x_####.exr"],

@@ -115,7 +115,7 @@ def test_samples(windows, native, tmp_path, name):
     assert_same_output(windows, native, tmp_path, ROOT / "samples" / name.removesuffix("_4spp") / f"{name}.exr")
 
 
-@pytest.mark.parametrize("cpu", ["c", "avx2", "avx512"])
+@pytest.mark.parametrize("cpu", ["c", "avx2", "avx512", "avx512bf16"])
 def test_instruction_sets(windows, native, data, tmp_path, cpu):
     if cpu not in native.ok("--version", "-v").stdout.split():
         pytest.skip(f"this machine has no {cpu}")

@@ -88,7 +88,12 @@ def test_structs_are_those_of_the_header(package, root, tmp_path):
 def test_constants_are_those_of_the_header(package, root):
     native = package.native
     header = (root / "include" / "quell.h").read_text()
-    tables = {"QUELL_CPU_": native.CPU, "QUELL_CODEC_": native.CODEC, "QUELL_QUALITY_": native.QUALITY}
+    tables = {
+        "QUELL_CPU_": native.CPU,
+        "QUELL_CODEC_": native.CODEC,
+        "QUELL_QUALITY_": native.QUALITY,
+        "QUELL_PRECISION_": native.PRECISION,
+    }
     for prefix, table in tables.items():
         for name, value in table.items():
             assert f"{prefix}{name.upper()} = {value}" in header
