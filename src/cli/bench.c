@@ -252,8 +252,8 @@ static void print_text(quell_context *ctx, const bench_args *args, const quell_m
 {
     const quell_report_summary *const middle = &runs[(args->num_runs - 1) / 2];
     printf("%s, %ux%u, %u %s, %s, %s, %u threads\n", model->name, args->width, args->height, args->num_layers,
-           args->num_layers == 1 ? "layer" : "layers", quell_context_cpu_name(ctx), cli_precision_name(middle->precision),
-           quell_context_num_threads(ctx));
+           args->num_layers == 1 ? "layer" : "layers", quell_context_cpu_name(ctx),
+           cli_precision_name(middle->precision), quell_context_num_threads(ctx));
     printf("  %.4f s (median of %u; %.4f to %.4f)\n", median_seconds(runs, args->num_runs), args->num_runs,
            runs[0].seconds_total, runs[args->num_runs - 1].seconds_total);
     printf("  analyse %.4f, features %.4f, network %.4f, filter %.4f, recombine %.4f\n", middle->seconds_analyse,

@@ -224,9 +224,10 @@ static quell_status choose_values(const ql_kernels *kernels, const quell_options
                        "models of the kind DGAN-KPN are computed in float32 alone; choose another model, or leave the "
                        "precision to the library");
     if (kernels->bf16 == QL_BF16_NONE)
-        return ql_fail(err, QUELL_ERR_UNSUPPORTED,
-                       "bfloat16 needs the kernels 'avx512bf16', and these are '%s'; leave the precision to the library",
-                       kernels->name);
+        return ql_fail(
+            err, QUELL_ERR_UNSUPPORTED,
+            "bfloat16 needs the kernels 'avx512bf16', and these are '%s'; leave the precision to the library",
+            kernels->name);
     *values = QL_VALUES_BF16;
     return QUELL_OK;
 }

@@ -680,7 +680,8 @@ static uint64_t divisor_bytes(const ql_job *job, uint32_t width, uint32_t height
 uint64_t ql_region_network_bytes(const ql_job *job, uint32_t width, uint32_t height, uint32_t num_workers)
 {
     const uint64_t features = num_workers * sizeof(float) * feature_scratch_floats(job->frame->width) +
-                              ql_net_stem_bytes(job->net, width, num_workers) + ql_net_detail_bytes(job->net, width, num_workers);
+                              ql_net_stem_bytes(job->net, width, num_workers) +
+                              ql_net_detail_bytes(job->net, width, num_workers);
     return ql_net_peak_bytes(job->net, job->values, width, height, num_workers) + features;
 }
 

@@ -60,8 +60,8 @@ QL_INLINE void conv_tile(const ql_bf16_conv_row *conv, size_t x, size_t c, const
             QL_UNROLL for (size_t p = 0; p < num; ++p)
             {
                 const __m512bh value = pair(in + p * stride);
-                QL_UNROLL for (size_t v = 0; v < num_blocks; ++v)
-                    sums[p][v] = _mm512_dpbf16_ps(sums[p][v], value, w[v]);
+                QL_UNROLL for (size_t v = 0; v < num_blocks; ++v) sums[p][v] =
+                    _mm512_dpbf16_ps(sums[p][v], value, w[v]);
             }
         }
     }

@@ -208,8 +208,7 @@ void ql_conv_apply_row(const ql_conv *conv, const ql_kernels *kernels, const ql_
     ql_conv_row row = float_row(conv, channels, num, relu);
     row.out = out;
     for (uint32_t r = 0; r < conv->size; ++r)
-        row.rows[r] =
-            ql_map_row(in, line_of(conv, y, r)) + (size_t)x * row.stride - (conv->size == 3 ? channels : 0);
+        row.rows[r] = ql_map_row(in, line_of(conv, y, r)) + (size_t)x * row.stride - (conv->size == 3 ? channels : 0);
     kernels->conv_row(&row);
 }
 
@@ -228,8 +227,8 @@ static void apply_task(void *user, uint32_t task, uint32_t worker)
     if (job->out->values == QL_VALUES_BF16) {
         ql_bf16_conv_row row = bf16_row(job->conv, job->in->channels, job->out->width, job->relu);
         for (uint32_t r = 0; r < job->conv->size; ++r)
-            row.rows[r] = ql_map_bf16_row(job->in, line_of(job->conv, task, r)) -
-                          (job->conv->size == 3 ? job->in->channels : 0);
+            row.rows[r] =
+                ql_map_bf16_row(job->in, line_of(job->conv, task, r)) - (job->conv->size == 3 ? job->in->channels : 0);
         row.out = ql_map_bf16_row(job->out, task);
         job->kernels->bf16_conv_row(&row);
         return;

@@ -62,7 +62,8 @@ quell_status ql_conv_apply(const ql_conv *conv, const ql_kernels *kernels, ql_en
 quell_status ql_conv_relu_in_place(const ql_conv *conv, const ql_kernels *kernels, ql_env *env, ql_map *map,
                                    ql_error *err);
 /* What that needs beside the map. */
-uint64_t ql_conv_in_place_bytes(ql_values values, uint32_t width, uint32_t height, uint32_t channels, uint32_t num_workers);
+uint64_t ql_conv_in_place_bytes(ql_values values, uint32_t width, uint32_t height, uint32_t channels,
+                                uint32_t num_workers);
 
 /* map = max(0, map + conv(coarse)), conv: 1x1, coarse of twice the pixel size and the same values. */
 quell_status ql_conv_upsample_add_relu(const ql_conv *conv, const ql_kernels *kernels, ql_env *env,

@@ -424,8 +424,7 @@ static void precision_is_what_was_asked_for(void **state)
     int32_t used = -1;
     assert_int_equal(quell_model_open(f->ctx, "tests/golden/dgan_small.qwt", &dgan), QUELL_OK);
     for (int32_t cpu = QUELL_CPU_C; cpu <= QUELL_CPU_AVX512BF16; cpu++) {
-        const int32_t fastest =
-            cpu == QUELL_CPU_AVX512BF16 ? QUELL_PRECISION_BFLOAT16 : QUELL_PRECISION_FLOAT32;
+        const int32_t fastest = cpu == QUELL_CPU_AVX512BF16 ? QUELL_PRECISION_BFLOAT16 : QUELL_PRECISION_FLOAT32;
         quell_context *const ctx = context_of(cpu, 1);
         if (!ctx) continue;
         assert_int_equal(precision_used(f, ctx, f->model, QUELL_PRECISION_AUTO, &used), QUELL_OK);

@@ -80,8 +80,7 @@ static quell_frame *new_frame(fixture *f, uint32_t width, uint32_t height, uint3
     return frame;
 }
 
-static quell_report_summary planned(fixture *f, int32_t precision, uint32_t width, uint32_t height,
-                                    uint32_t num_layers)
+static quell_report_summary planned(fixture *f, int32_t precision, uint32_t width, uint32_t height, uint32_t num_layers)
 {
     const quell_options options = {.struct_size = sizeof options, .precision = precision};
     quell_report_summary summary = {.struct_size = sizeof summary};

@@ -167,7 +167,8 @@ static void run_frame(const fixture *f, int32_t cpu, int32_t precision, uint32_t
     }
     if (with_samples) assert_int_equal(quell_frame_set_samples(frame, (uint32_t)size[2]), QUELL_OK);
     /* The network's result alone is what PyTorch has. */
-    const quell_options denoise = {.struct_size = sizeof denoise, .flags = QUELL_DENOISE_NO_BLEND, .tile_size = tile, .precision = precision};
+    const quell_options denoise = {
+        .struct_size = sizeof denoise, .flags = QUELL_DENOISE_NO_BLEND, .tile_size = tile, .precision = precision};
     assert_int_equal(quell_denoise(ctx, model, frame, &denoise, NULL), QUELL_OK);
     for (size_t i = 0; i < num; ++i) {
         const quell_image image = {.struct_size = sizeof image,
