@@ -310,8 +310,8 @@ class Context(_Handle):
         model: from open_model, or instead quality, a level of native.QUALITY; neither: the default. layers: "all",
         "beauty" (Combined alone), or names, comma-separated; None: what suits the model. keep_noisy: the noisy Combined
         stays as a layer "Noisy Image". debug_layers: the frame gets layers "Quell Noise", "Quell Confidence" and "Quell
-        Skipped" (docs/cli.md). precision: a key of native.PRECISION, of numbers inside the network; "auto" is bfloat16 with
-        the kernels "avx512bf16" and float32 with others. On any error the pixels are as they were.
+        Skipped" (docs/cli.md). precision: of numbers inside the network, a key of native.PRECISION; "auto" is bfloat16
+        with the kernels "avx512bf16" and float32 with others. On any error the pixels are as they were.
         """
         network = self._choose_model(model, quality)
         raised: list[BaseException] = []
@@ -345,11 +345,19 @@ class Context(_Handle):
             native.load().quell_report_destroy(report)
 
     def plan(
-        self, frame: Frame, model: Model | None = None, layers: str | None = None, quality: str | None = None
+        self,
+        frame: Frame,
+        model: Model | None = None,
+        layers: str | None = None,
+        quality: str | None = None,
+        precision: str = "auto",
     ) -> Report:
         """What denoise would do, without doing it."""
         network = self._choose_model(model, quality)
-        options = native.Options(layers=None if layers is None else native.encoded(layers))
+        options = native.Options(
+            layers=None if layers is None else native.encoded(layers),
+            precision=_choice(native.PRECISION, precision, "precision"),
+        )
         report = native.HANDLE()
         status = native.load().quell_plan(
             self.pointer, network.pointer, frame.pointer, native.byref(options), native.byref(report)

@@ -16,7 +16,16 @@ def run(quell, *options: object) -> dict:
 
 def test_json(quell):
     result = run(quell, "--threads", 1, "--cpu", "c")
-    expected = {"isa": "c", "precision": "float32", "threads": 1, "width": 96, "height": 64, "layers": 10, "runs": 2, "features": "all"}
+    expected = {
+        "isa": "c",
+        "precision": "float32",
+        "threads": 1,
+        "width": 96,
+        "height": 64,
+        "layers": 10,
+        "runs": 2,
+        "features": "all",
+    }
     assert result | expected == result
     assert 0 < result["min_s"] <= result["median_s"] <= result["max_s"]
     assert result["peak_bytes"] > 96 * 64 * 4 and result["macs_per_pixel"] > 1000 and result["gmacs_per_s"] > 0

@@ -277,6 +277,31 @@ def test_quality_levels(package, context, noisy):
     assert len({results[level].tobytes() for level in levels}) == len(levels)
 
 
+def test_precision(package, noisy):
+    """The one asked for, or the kernels' own, and it shows in the result; kernels without bfloat16 say so."""
+    results = {}
+    for cpu in ("c", "auto"):
+        with package.Context(cpu=cpu) as context:
+            for precision in ("auto", "float32", "bfloat16"):
+                with context.new_frame(70, 48) as frame:
+                    frame.add_layer("Combined", noisy)
+                    if precision == "bfloat16" and context.cpu not in ("c", "avx512bf16"):
+                        with pytest.raises(package.QuellError, match="avx512bf16"):
+                            context.denoise(frame, precision=precision)
+                        continue
+                    auto = "bfloat16" if context.cpu == "avx512bf16" else "float32"
+                    used = auto if precision == "auto" else precision
+                    assert context.plan(frame, precision=precision).precision == used
+                    assert context.denoise(frame, precision=precision).precision == used
+                    results.setdefault((context.cpu, used), []).append(frame.pixels("Combined"))
+    assert not np.array_equal(results["c", "float32"][0], results["c", "bfloat16"][0])
+    for same in results.values():
+        assert all(np.array_equal(same[0], other) for other in same)
+    with package.Context(threads=1) as context, context.new_frame(70, 48) as frame:
+        with pytest.raises(package.QuellError, match="known: auto, float32, bfloat16"):
+            context.denoise(frame, precision="half")
+
+
 def test_quality_is_refused_with_a_model_and_where_it_is_none(package, context, noisy):
     with context.open_model() as model, context.new_frame(70, 48) as frame:
         frame.add_layer("Combined", noisy)
