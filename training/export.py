@@ -22,7 +22,7 @@ from training.train import config_from_json, run_folder
 
 MAGIC = b"QUELLWTS"
 VERSION = 1
-KIND = "quell-4"
+KIND = "quell-5"
 NAME_BYTES = 48
 ALIGNMENT = 64
 FLOAT, HALF, INT, TEXT = 0, 1, 2, 3

@@ -57,7 +57,7 @@ def main() -> None:
         torch.nn.init.normal_(head.weight, std=0.1)
     for conv in (model.net.detail_out, model.net.detail_up):
         torch.nn.init.normal_(conv.weight, std=0.1)
-    for table in (*model.net.filter_table, *model.net.up_table, model.net.narrow_table):
+    for table in (*model.net.filter_table, *model.net.up_table):
         torch.nn.init.normal_(table)
     model = round_to_half(model)
     layers, guides = random_frame(torch.Generator().manual_seed(3))

@@ -14,7 +14,7 @@ from training.native import RelativeError
 MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
 NOISE_FLOOR = 0.004  # error of an input that needs nothing done to it; targets are no cleaner
 EPSILON = 0.01  # of relMSE (docs: error with two references)
-TURN = 2.0  # relative error from which on the loss is linear
+TURN = 6.0  # relative error from which on the loss is linear
 
 
 def relative_error_reference(image: Tensor, target: Tensor, level: Tensor) -> Tensor:

@@ -488,7 +488,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     report->names = ql_alloc_zero(&report->memory, num, sizeof *report->names);
     report->model_name = ql_strdup(&report->memory, info.name);
     int failed = report->layers == NULL || report->names == NULL || report->model_name == NULL;
-    uint32_t groups = 0, narrow = 0;
+    uint32_t groups = 0;
     int32_t combined = QL_COMBINED_DIRECT;
     if (!failed) report->summary.num_layers = num;
     for (uint32_t i = 0; i < num && !failed; ++i) {
@@ -510,9 +510,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
             if (w->survey.layers) ql_survey_layer_means(&w->survey.layers[i], &layer->blend, &layer->change);
         }
         const int is_combined = w->frame->layers[i].role == QUELL_ROLE_COMBINED;
-        if (plan->group == QL_GROUP_COLOR || plan->group == QL_GROUP_EMISSION)
-            narrow |= 1u << (plan->group == QL_GROUP_EMISSION);
-        else if (!is_combined || w->plan.sets[plan->set].combined == QL_COMBINED_DIRECT || !scan->is_constant_alpha)
+        if (!is_combined || w->plan.sets[plan->set].combined == QL_COMBINED_DIRECT || !scan->is_constant_alpha)
             groups |= 1u << (2 * plan->group + ql_role_is_indirect(w->frame->layers[i].role));
     }
     if (failed) {
@@ -521,7 +519,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     }
     for (uint32_t s = 0; s < w->plan.num_sets; ++s) {
         if (w->plan.sets[s].combined > combined) combined = w->plan.sets[s].combined;
-        if (ql_region_divides(w->frame, &w->plan, s)) narrow |= 1u;
+        if (ql_region_divides(w->frame, &w->plan, s)) groups |= 1u << (2 * QL_GROUP_COLOR);
     }
     quell_report_summary *const summary = &report->summary;
     summary->struct_size = sizeof *summary;
@@ -531,7 +529,7 @@ static quell_status make_report(const work *w, const ql_model *model, double sec
     summary->halo = w->num_tiles > 1 ? w->halo : 0;
     summary->peak_bytes = dry ? w->planned_bytes : atomic_load(&w->env->memory->peak_bytes);
     summary->macs_per_pixel =
-        w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, count_bits(groups), count_bits(narrow));
+        w->dgan ? dgan_macs(w) : ql_net_macs_per_pixel(w->job.net, count_bits(groups));
     summary->combined = ql_plan_combined_name(combined);
     summary->model_name = report->model_name;
     for (uint32_t s = 0; s < w->plan.num_sets; ++s) {

@@ -5,7 +5,6 @@
 
 #include "base/clock.h"
 #include "denoise/recombine.h"
-#include "filter/narrow.h"
 #include "filter/pyramid.h"
 #include "frame/roles.h"
 #include "models/quell_detail.h"
@@ -23,12 +22,11 @@ enum {
     MAX_COLORS = 3
 };
 
-/* A colour this small halves the weight of its light: the ratio is noise there. training/models/quell.py */
-#define COLOR_EPSILON 0.02f
 /* Added to the albedo that Combined is divided by: what is black has highlights still. training/models/quell.py */
 #define ALBEDO_EPSILON 0.02f
-/* Weights below it are none: importance is at least e^-12, so only bad pixels and black colours get there. */
-#define MIN_WEIGHT 1e-12f
+/* Weights below it are none: importance is at least e^-12, so only bad pixels and black colours get there.
+ * training/models/quell.py: divide */
+#define MIN_WEIGHT 1e-20f
 
 /* One layer in a batch: where its planes are. */
 typedef struct member {
@@ -40,6 +38,7 @@ typedef struct member {
     uint32_t x0, y0;
     uint32_t num_channels; /* filtered: 3 colours, and alpha where it varies */
     uint32_t first_plane, weight_plane;
+    uint32_t alpha_weight_plane; /* of its own where the albedo weighs the colours */
     int32_t is_divided; /* by the albedo while it is filtered */
     int32_t is_divisor; /* the albedo itself, as a divisor */
 } member;
@@ -230,20 +229,11 @@ static int is_light(int32_t group)
     return group >= QL_GROUP_DIFFUSE && group <= QL_GROUP_VOLUME;
 }
 
-static int is_narrow(int32_t group)
-{
-    return group == QL_GROUP_COLOR || group == QL_GROUP_EMISSION;
-}
-
-/* Index of the network's narrow group: colours, emission. */
-static uint32_t narrow_index(const batch *b)
-{
-    return b->group == QL_GROUP_COLOR ? 0 : 1;
-}
-
-/* Index of the network's group: beauty, then direct and indirect light. */
+/* Index of the network's group. */
 static uint32_t net_group(const batch *b)
 {
+    if (b->group == QL_GROUP_COLOR) return QL_NET_GROUP_COLOR;
+    if (b->group == QL_GROUP_EMISSION) return QL_NET_GROUP_EMISSION;
     return is_light(b->group) ? (uint32_t)(1 + 2 * (b->group - QL_GROUP_DIFFUSE) + b->is_indirect) : 0;
 }
 
@@ -266,7 +256,6 @@ static void set_levels(batch *b)
         if (l + 1 < QL_PYRAMID_LEVELS)
             b->levels[l].up_table = b->job->net->up_table[l] + (size_t)group * 4 * QL_UP_TAPS;
     }
-    if (is_narrow(b->group)) b->levels[0].table = b->job->net->narrow_table + (size_t)narrow_index(b) * QL_FILTER_TAPS;
 }
 
 static float *worker_scratch(const batch *b, uint32_t worker)
@@ -277,10 +266,9 @@ static float *worker_scratch(const batch *b, uint32_t worker)
 static void give_fine(void *user, uint32_t part, uint32_t x, uint32_t y, uint32_t num, uint32_t worker, float *out)
 {
     const batch *const b = user;
-    const uint32_t wide = part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
-    const uint32_t head = is_narrow(b->group) ? QL_HEAD_NARROW : wide;
-    const uint32_t group = is_narrow(b->group) ? narrow_index(b) : net_group(b);
-    ql_net_fine_logits(b->job->net, b->job->kernels, b->window, group, head, x, y, num, worker_scratch(b, worker), out);
+    const uint32_t head = part == 0 ? QL_HEAD_DOWN : QL_HEAD_UP;
+    ql_net_fine_logits(b->job->net, b->job->kernels, b->window, net_group(b), head, x, y, num,
+                       worker_scratch(b, worker), out);
 }
 
 static void give_coarse(void *user, uint32_t level, uint32_t y, uint32_t worker, float *out)
@@ -300,16 +288,19 @@ static void read_color(const batch *b, uint32_t x0, uint32_t x1, uint32_t y, flo
     for (uint32_t c = colors; c < MAX_COLORS; ++c) memcpy(rows[c] + x0, rows[0] + x0, (x1 - x0) * sizeof *rows[c]);
 }
 
-/* weight[x] *= c / (c + epsilon), c the mean colour that the light was divided by. */
+static float mean_color(float *const *rows, uint32_t x)
+{
+    float sum = 0.0f;
+    for (uint32_t c = 0; c < MAX_COLORS; ++c) sum += rows[c][x];
+    return sum > 0.0f ? sum / (float)MAX_COLORS : 0.0f;
+}
+
+/* weight[x] *= the mean colour that the light was divided by: where the kernels of light and colour agree, the product of
+ * both means is the mean of the products, which is what Combined holds. */
 static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
 {
     read_color(b, b->region->rx, b->region->rx + num, y, rows);
-    for (uint32_t x = 0; x < num; ++x) {
-        float sum = 0.0f;
-        for (uint32_t c = 0; c < MAX_COLORS; ++c) sum += rows[c][b->region->rx + x];
-        const float color = sum > 0.0f ? sum / (float)MAX_COLORS : 0.0f;
-        weight[x] *= color / (color + COLOR_EPSILON);
-    }
+    for (uint32_t x = 0; x < num; ++x) weight[x] *= mean_color(rows, b->region->rx + x);
 }
 
 /* Albedo as radiance is divided by it: never zero; where it is no number, radiance stays as it is. */
@@ -331,6 +322,11 @@ static void read_divisor(const batch *b, uint32_t x0, uint32_t x1, uint32_t y, f
     make_divisor(rows, rows[MAX_COLORS], x0, x1);
 }
 
+static uint32_t weight_plane(const member *m, uint32_t channel)
+{
+    return channel < MAX_COLORS ? m->weight_plane : m->alpha_weight_plane;
+}
+
 static void give_values(void *user, uint32_t region_y, const float *importance, uint32_t worker, float *const *planes)
 {
     const batch *const b = user;
@@ -345,7 +341,7 @@ static void give_values(void *user, uint32_t region_y, const float *importance, 
     float *rows[VALUE_ROWS];
     for (uint32_t i = 0; i < VALUE_ROWS; ++i) rows[i] = worker_scratch(b, worker) + (size_t)i * (frame->width + 16);
     float *const valid = rows[VALUE_ROWS - 1], *const weight = rows[VALUE_ROWS - 2];
-    for (uint32_t x = 0; x < num; ++x) weight[x] = importance ? importance[x] : 1.0f;
+    for (uint32_t x = 0; x < num; ++x) weight[x] = importance[x];
     if (b->color_role != QUELL_ROLE_OTHER) weigh_by_color(b, y, rows, weight, num);
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
@@ -358,9 +354,12 @@ static void give_values(void *user, uint32_t region_y, const float *importance, 
         }
         float *const *const divisor = rows + DIVISOR_ROW;
         if (m->is_divided) read_divisor(b, first, end, y, divisor);
-        float *const w = planes[m->weight_plane];
-        for (uint32_t x = 0; x < num; ++x) w[x] = weight[x] * valid[region->rx + x];
+        float *const own = planes[m->alpha_weight_plane], *const albedo_weight = planes[m->weight_plane];
+        for (uint32_t x = 0; x < num; ++x) own[x] = weight[x] * valid[region->rx + x];
+        for (uint32_t x = 0; m->is_divided && x < num; ++x)
+            albedo_weight[x] = own[x] * mean_color(divisor, region->rx + x);
         for (uint32_t c = 0; c < m->num_channels; ++c) {
+            const float *const w = planes[weight_plane(m, c)];
             const float *const row = rows[c] + region->rx;
             float *const out = planes[m->first_plane + c];
             /* A zero weight must not meet the infinity of a bad alpha. */
@@ -404,8 +403,8 @@ static void take_result(void *user, uint32_t region_y, uint32_t region_x, uint32
     if (y < region->y0 || y >= region->y1 || x0 >= x1) return;
     for (uint32_t i = 0; i < b->num_members; ++i) {
         const member *const m = &b->members[i];
-        const float *const weight = planes[m->weight_plane];
         for (uint32_t c = 0; c < m->num_channels; ++c) {
+            const float *const weight = planes[weight_plane(m, c)];
             const float *const value = planes[m->first_plane + c];
             float *const out = result_row(m, c, y);
             const float *const factor = m->is_divided && c < MAX_COLORS ? divisor_row(b, c, y) : NULL;
@@ -480,8 +479,8 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
 {
     const ql_plan *const plan = b->job->plan;
     const int32_t combined = b->set->role_layer[QUELL_ROLE_COMBINED];
-    int has_shared_weight = 0;
-    uint32_t shared_weight = 0;
+    int has_shared[2] = {0}; /* weights, by whether the albedo is part of them */
+    uint32_t shared[2] = {0};
     b->num_members = b->num_planes = 0;
     for (; *next < plan->num_layers && b->num_members < MAX_BATCH; ++*next) {
         const ql_plan_layer *const layer = &plan->layers[*next];
@@ -496,14 +495,17 @@ static void fill_batch(batch *b, uint32_t *next, int combined_only)
         m.plane = m.stride * b->job->frame->height;
         m.is_divided = b->divisor != NULL && is_lit_albedo(b->job->frame->layers[*next].role);
         m.num_channels = num_filtered_channels(m.source, m.scan, b->group);
-        const int own_weight = m.scan->num_bad > 0 || !has_shared_weight;
-        if (b->num_planes + m.num_channels + (own_weight ? 1 : 0) > QL_PYRAMID_MAX_PLANES) return;
+        const int own_weight = m.scan->num_bad > 0 || !has_shared[m.is_divided];
+        const int own_alpha_weight = m.is_divided && m.num_channels > MAX_COLORS;
+        const uint32_t num_planes = m.num_channels + (own_weight ? 1 : 0) + (own_alpha_weight ? 1 : 0);
+        if (b->num_planes + num_planes > QL_PYRAMID_MAX_PLANES) return;
         m.first_plane = b->num_planes;
         b->num_planes += m.num_channels;
-        m.weight_plane = own_weight ? b->num_planes++ : shared_weight;
-        if (m.scan->num_bad == 0 && !has_shared_weight) {
-            has_shared_weight = 1;
-            shared_weight = m.weight_plane;
+        m.weight_plane = own_weight ? b->num_planes++ : shared[m.is_divided];
+        m.alpha_weight_plane = own_alpha_weight ? b->num_planes++ : m.weight_plane;
+        if (m.scan->num_bad == 0 && !has_shared[m.is_divided]) {
+            has_shared[m.is_divided] = 1;
+            shared[m.is_divided] = m.weight_plane;
         }
         b->members[b->num_members++] = m;
     }
@@ -517,9 +519,7 @@ static size_t batch_scratch_floats(uint32_t image_width)
 
 static quell_status filter_batch(batch *b, ql_env *env, const ql_pyramid_source *source, ql_error *err)
 {
-    const uint32_t width = b->region->width, height = b->region->height;
-    return is_narrow(b->group) ? ql_narrow_run(b->job->kernels, env, width, height, b->num_planes, source, err)
-                               : ql_pyramid_run(b->job->kernels, env, width, height, b->num_planes, source, err);
+    return ql_pyramid_run(b->job->kernels, env, b->region->width, b->region->height, b->num_planes, source, err);
 }
 
 /* Combined, if it is the sum of its parts, needs kernels for its alpha alone. */
@@ -544,7 +544,7 @@ static quell_status run_group(batch *b, ql_env *env, int combined_only, ql_error
     return QUELL_OK;
 }
 
-/* Filters the albedo as finely as a colour: textures pass by the wide kernels and are put on again from it. */
+/* Filters the albedo as a colour: textures pass by the light's kernels and are put on again from it. */
 static quell_status filter_albedo(batch *b, ql_env *env, ql_error *err)
 {
     const ql_pyramid_source source = {b, QL_NET_DIMS, b->levels, give_fine, give_coarse, give_values, take_result};
@@ -561,6 +561,7 @@ static quell_status filter_albedo(batch *b, ql_env *env, ql_error *err)
                              .y0 = region->y0,
                              .num_channels = MAX_COLORS,
                              .weight_plane = MAX_COLORS,
+                             .alpha_weight_plane = MAX_COLORS,
                              .is_divisor = 1};
     b->num_members = 1;
     b->num_planes = MAX_COLORS + 1;
@@ -656,13 +657,14 @@ static uint64_t batch_bytes(const ql_job *job, uint32_t width, uint32_t height, 
     for (uint32_t s = 0; s < job->plan->num_sets; ++s)
         for (uint32_t i = 0; i < 4 * QL_NUM_GROUPS; ++i) {
             batch b = {.job = &planned, .set = &job->plan->sets[s], .set_index = (int32_t)s, .group = (int32_t)(i / 4)};
+            float divisor = 0.0f;
             b.is_indirect = i % 2;
+            if (ql_region_divides(job->frame, job->plan, s)) b.divisor = &divisor; /* never read: nothing is filtered */
             for (uint32_t next = 0; next < job->plan->num_layers;) {
                 fill_batch(&b, &next, i / 2 % 2);
                 if (b.num_members == 0) continue;
                 const uint64_t bytes =
-                    is_narrow(b.group) ? ql_narrow_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers)
-                                       : ql_pyramid_peak_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers);
+                    ql_pyramid_peak_bytes(width, height, b.num_planes, QL_NET_DIMS, num_workers);
                 if (bytes > most) most = bytes;
             }
         }

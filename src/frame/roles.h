@@ -16,8 +16,8 @@ enum {
     QL_GROUP_GLOSSY = 2,
     QL_GROUP_TRANSMISSION = 3,
     QL_GROUP_VOLUME = 4,
-    QL_GROUP_COLOR = 5, /* diffuse, glossy and transmission colour: narrow kernels */
-    QL_GROUP_EMISSION = 6, /* emission and environment beside all light passes: narrow kernels of their own */
+    QL_GROUP_COLOR = 5, /* diffuse, glossy and transmission colour */
+    QL_GROUP_EMISSION = 6, /* emission and environment beside all light passes */
     QL_NUM_GROUPS = 7
 };
 

@@ -29,7 +29,7 @@ struct ql_model {
 
 static quell_status load_network(ql_model *model, const char *kind, const ql_weights *weights, ql_error *err)
 {
-    static const char *const kinds[NUM_FAMILIES] = {"quell-4", "dgan-kpn-1"};
+    static const char *const kinds[NUM_FAMILIES] = {"quell-5", "dgan-kpn-1"};
     model->family = 0;
     while (model->family < NUM_FAMILIES && strcmp(kind, kinds[model->family]) != 0) ++model->family;
     if (model->family == FAMILY_QUELL) return ql_net_load(&model->net, weights, &model->memory, err);
@@ -161,8 +161,8 @@ void ql_model_get_info(const ql_model *model, quell_model_info *info)
         return;
     }
     info->num_parameters = model->net.num_parameters;
-    info->macs_per_pixel = ql_net_macs_per_pixel(&model->net, 1, 1);
-    info->macs_per_pixel_all = ql_net_macs_per_pixel(&model->net, QL_NET_GROUPS - 1, QL_NET_NARROW_GROUPS);
+    info->macs_per_pixel = ql_net_macs_per_pixel(&model->net, 2); /* Combined and its albedo */
+    info->macs_per_pixel_all = ql_net_macs_per_pixel(&model->net, QL_NET_GROUPS - 1);
 }
 
 const char *ql_model_builtin_name(uint32_t index)

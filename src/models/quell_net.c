@@ -9,7 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { MAX_LEVEL_PLANES = 160, FINE_FIELDS = QL_NET_DIMS + 4 /* centre, blend, partition, importance */ };
+enum { MAX_LEVEL_PLANES = 192, FINE_FIELDS = QL_NET_DIMS + 4 /* centre, blend, partition, importance */ };
 
 /* Planes of one group at a level of the heads; 0: full resolution. training/models/quell.py: group_planes */
 static uint32_t group_planes(uint32_t level)
@@ -17,10 +17,10 @@ static uint32_t group_planes(uint32_t level)
     return level == 0 ? FINE_FIELDS : ql_coarse_planes(level);
 }
 
-/* Where the embedding of a level's head begins, after the groups and, at full resolution, narrow groups. */
+/* Where the embedding of a level's head begins, after the groups. */
 static uint32_t embedding_plane(uint32_t level)
 {
-    return QL_NET_GROUPS * group_planes(level) + (level == 0 ? QL_NET_NARROW_GROUPS * ql_head_planes(QL_HEAD_NARROW) : 0);
+    return QL_NET_GROUPS * group_planes(level);
 }
 
 /* Which of the file's channels are `num` planes from `first` on. At full resolution the file holds pixel-shuffled
@@ -36,7 +36,7 @@ static uint32_t pick(uint32_t level, uint32_t first, uint32_t num, uint32_t *ord
 
 uint32_t ql_head_planes(uint32_t head)
 {
-    static const uint32_t planes[] = {2, QL_NET_DIMS + 2, QL_NET_DIMS + 1};
+    static const uint32_t planes[] = {2, QL_NET_DIMS + 2};
     return planes[head];
 }
 
@@ -59,16 +59,13 @@ static quell_status load_head(const ql_net *net, const ql_weights *weights, uint
 
 static quell_status load_heads(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err)
 {
-    const uint32_t down = QL_NET_DIMS + 2, narrow = ql_head_planes(QL_HEAD_NARROW);
-    uint32_t first = QL_NET_GROUPS * FINE_FIELDS;
+    const uint32_t down = QL_NET_DIMS + 2;
     for (uint32_t g = 0; g < QL_NET_GROUPS; ++g) {
         QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS, down, &net->head_up[g], memory, err));
         QL_TRY(load_head(net, weights, 0, g * FINE_FIELDS + down, 2, &net->head_down[g], memory, err));
         for (uint32_t l = 1; l <= QL_NET_LEVELS; ++l)
             QL_TRY(load_head(net, weights, l, g * group_planes(l), group_planes(l), &net->head[g][l - 1], memory, err));
     }
-    for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g, first += narrow)
-        QL_TRY(load_head(net, weights, 0, first, narrow, &net->head_narrow[g], memory, err));
     for (uint32_t l = 0; l <= QL_NET_LEVELS; ++l)
         QL_TRY(load_head(net, weights, l, embedding_plane(l), QL_NET_DIMS, &net->embedding[l], memory, err));
     const uint32_t n = net->detail;
@@ -97,8 +94,7 @@ static quell_status load_tables(ql_net *net, const ql_weights *weights, ql_memor
         snprintf(name, sizeof name, "up_table.%u", l);
         QL_TRY(load_table(weights, name, (size_t)QL_NET_GROUPS * 4 * QL_UP_TAPS, &net->up_table[l], memory, err));
     }
-    return load_table(weights, "narrow_table", (size_t)QL_NET_NARROW_GROUPS * QL_FILTER_TAPS, &net->narrow_table, memory,
-                      err);
+    return QUELL_OK;
 }
 
 /* A layer inside the body: its weights in float and in bfloat16. */
@@ -195,7 +191,6 @@ void ql_net_free(ql_net *net, ql_memory *memory)
         ql_conv_free(&net->head_up[g], memory);
         for (uint32_t l = 0; l < QL_NET_LEVELS; ++l) ql_conv_free(&net->head[g][l], memory);
     }
-    for (uint32_t g = 0; g < QL_NET_NARROW_GROUPS; ++g) ql_conv_free(&net->head_narrow[g], memory);
     ql_conv_free(&net->guides, memory);
     ql_conv_free(&net->detail_in, memory);
     ql_conv_free(&net->detail_up, memory);
@@ -206,11 +201,10 @@ void ql_net_free(ql_net *net, ql_memory *memory)
         ql_free(memory, net->filter_table[l]);
         if (l < QL_NET_LEVELS) ql_free(memory, net->up_table[l]);
     }
-    ql_free(memory, net->narrow_table);
     memset(net, 0, sizeof *net);
 }
 
-double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t num_narrow_groups)
+double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups)
 {
     static const double per[QL_NET_LEVELS] = {1.0 / 4, 1.0 / 16, 1.0 / 64, 1.0 / 256};
     double total = 4.0 * QL_NUM_FEATURES * net->widths[0] * per[0], head = (double)FINE_FIELDS * net->widths[0];
@@ -223,7 +217,7 @@ double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t nu
             total += 5.0 * w * net->widths[l + 1] * per[l + 1] + 9.0 * w * w * net->up_convs[l] * per[l];
         head += w * group_planes(l + 1) * per[l];
     }
-    return total + num_narrow_groups * (QL_NET_DIMS + 1.0) * net->widths[0] + num_groups * head;
+    return total + num_groups * head;
 }
 
 uint32_t ql_net_reach(const ql_net *net)
@@ -297,9 +291,7 @@ uint64_t ql_net_peak_bytes(const ql_net *net, ql_values values, uint32_t width, 
 void ql_net_fine_logits(const ql_net *net, const ql_kernels *kernels, const ql_net_window *window, uint32_t group,
                         uint32_t head, uint32_t x, uint32_t y, uint32_t num, float *buffer, float *out)
 {
-    const ql_conv *const conv = head == QL_HEAD_DOWN ? &net->head_down[group]
-                                : head == QL_HEAD_UP ? &net->head_up[group]
-                                                     : &net->head_narrow[group];
+    const ql_conv *const conv = head == QL_HEAD_DOWN ? &net->head_down[group] : &net->head_up[group];
     const uint32_t planes = ql_head_planes(head);
     ql_conv_apply_row(conv, kernels, &window->maps->level[0], window->x / 2 + x, y, num, 0, buffer);
     for (size_t dy = 0; dy < 2; ++dy)

@@ -20,17 +20,13 @@ enum {
 };
 
 /* Groups with a pyramid of their own, in the order of the file's heads: beauty, then direct and indirect light of
- * diffuse, glossy, transmission, volume. */
-enum { QL_NET_GROUPS = 9 };
-
-/* Groups with one 5x5 kernel at full resolution: colours; emission and environment. */
-enum { QL_NET_NARROW_GROUPS = 2 };
+ * diffuse, glossy, transmission, volume, then colours, then emission and environment. */
+enum { QL_NET_GROUPS = 11, QL_NET_GROUP_COLOR = 9, QL_NET_GROUP_EMISSION = 10 };
 
 /* What of the full-resolution head is wanted. Planes are [plane][x] for each of the two fine rows of a half row. */
 enum {
     QL_HEAD_DOWN = 0,  /* 2 planes: partition, importance */
-    QL_HEAD_UP = 1,    /* sharpness (QL_NET_DIMS planes), centre, blend */
-    QL_HEAD_NARROW = 2 /* sharpness, centre; of a narrow group */
+    QL_HEAD_UP = 1     /* sharpness (QL_NET_DIMS planes), centre, blend */
 };
 
 typedef struct ql_net {
@@ -41,19 +37,18 @@ typedef struct ql_net {
     float *flags; /* [QL_NUM_FLAGS][widths[0]] */
     ql_conv down[QL_NET_LEVELS - 1], up[QL_NET_LEVELS - 1];
     ql_conv encoder[QL_NET_LEVELS][QL_NET_MAX_CONVS], decoder[QL_NET_LEVELS - 1][QL_NET_MAX_CONVS];
-    ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS], head_narrow[QL_NET_NARROW_GROUPS];
+    ql_conv head_down[QL_NET_GROUPS], head_up[QL_NET_GROUPS];
     ql_conv head[QL_NET_GROUPS][QL_NET_LEVELS]; /* sharpness, centre, blend, partition; at 1/16 the first two */
     ql_conv guides, detail_in, detail_up, detail_mid, detail_out; /* the embedding's share at full resolution */
     ql_conv embedding[QL_NET_LEVELS + 1];       /* the body's share of it */
     float *filter_table[QL_NET_LEVELS + 1];     /* [QL_NET_GROUPS][QL_FILTER_TAPS] */
     float *up_table[QL_NET_LEVELS];             /* [QL_NET_GROUPS][2][2][QL_UP_TAPS] */
-    float *narrow_table;                        /* [QL_NET_NARROW_GROUPS][QL_FILTER_TAPS] */
     uint64_t num_parameters;
 } ql_net;
 
 quell_status ql_net_load(ql_net *net, const ql_weights *weights, ql_memory *memory, ql_error *err);
 void ql_net_free(ql_net *net, ql_memory *memory);
-double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups, uint32_t num_narrow_groups);
+double ql_net_macs_per_pixel(const ql_net *net, uint32_t num_groups);
 
 /* Pixels from which one result of the body is computed, in each direction, rounded up to QL_NET_ALIGNMENT. */
 uint32_t ql_net_reach(const ql_net *net);

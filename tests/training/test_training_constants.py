@@ -37,7 +37,6 @@ SHARED = [
 
 #: Constants that one C source keeps to itself: file, pattern of its definition, the same in Python.
 PRIVATE = [
-    ("src/denoise/region.c", r"COLOR_EPSILON (\S+)f$", quell.COLOR_EPSILON),
     ("src/filter/scan.c", r"BAND = (\d+)", features.BIN),
     ("src/filter/scan.c", r"REACH = (\d+)", 2),  # limit_fireflies: 24 neighbours
 ]

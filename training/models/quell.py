@@ -21,17 +21,14 @@ from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filt
 
 LIGHTS = ("diffuse", "glossy", "transmission", "volume")
 PARTS = ("direct", "indirect")
-GROUPS = ("beauty", *(f"{light}_{part}" for light in LIGHTS for part in PARTS))
+GROUPS = ("beauty", *(f"{light}_{part}" for light in LIGHTS for part in PARTS), "color", "emission")
 LEVELS = 5
 EMBEDDING = 10  # dimensions; all passes share them
 DETAIL_INPUTS = 16  # what the convolutions at full resolution see
-GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "partition": 1, "importance": 1}
+GROUP_FIELDS = {"scale": EMBEDDING, "centre": 1, "blend": 1, "down": 1, "importance": 1}
 FIELDS_AT = (5, 4, 4, 4, 2)  # how many of these a level has
-NARROW_GROUPS = ("color", "emission")  # 5x5 kernels at full resolution alone
-NARROW_FIELDS = EMBEDDING + 1  # scale, centre
 IMPORTANCE_RANGE = 12.0  # logits beyond it change nothing; keeps the division far from underflow
 ALBEDO_EPSILON = 0.02  # added to the albedo that Combined is divided by: what is black has highlights still
-COLOR_EPSILON = 0.02  # a colour this small halves the weight of its light: the ratio is noise there
 
 
 def group_planes(level: int) -> int:
@@ -40,9 +37,8 @@ def group_planes(level: int) -> int:
 
 
 def head_planes(level: int) -> int:
-    """Planes of a level's whole head, in its order: groups, at full resolution narrow groups, the embedding."""
-    narrow = len(NARROW_GROUPS) * NARROW_FIELDS if level == 0 else 0
-    return len(GROUPS) * group_planes(level) + narrow + EMBEDDING
+    """Planes of a level's whole head: groups, then the embedding."""
+    return len(GROUPS) * group_planes(level) + EMBEDDING
 
 
 @dataclass(frozen=True)
@@ -85,27 +81,20 @@ class Head:
     blend: Tensor | None = None  # [n,1,h,w]
     down: Tensor | None = None  # [n,1,h,w]
     importance: Tensor | None = None  # [n,1,h,w]
-    narrow: tuple[tuple[Tensor, Tensor], ...] = ()  # by narrow group: scale [images,e,h,w], centre [images,1,h,w]
 
 
 def take_head(x: Tensor, level: int, image: Tensor, group: Tensor) -> Head:
     """x: what the level's convolution made, [images,head_planes,h,w]; at full resolution
     [images,4 head_planes,h/2,w/2], the pixels of a cell of 2x2 one after another."""
-    fine = 2 if level == 0 else 1
-    start = image * head_planes(level) + group * group_planes(level)
+    fields = dict(list(GROUP_FIELDS.items())[: FIELDS_AT[level]])
+    first = image * head_planes(level) + group * group_planes(level)
     choices = []  # first planes, how many from each, bound
-    for name in list(GROUP_FIELDS)[: FIELDS_AT[level]]:
-        choices.append((start, GROUP_FIELDS[name], MAX_SCALE if name == "scale" else None))
-        start = start + GROUP_FIELDS[name]
-    start = torch.arange(len(x)) * head_planes(level) + len(GROUPS) * group_planes(level)
-    for _ in NARROW_GROUPS if level == 0 else ():
-        choices += [(start, EMBEDDING, MAX_SCALE), (start + EMBEDDING, 1, None)]
-        start = start + NARROW_FIELDS
-    choices.append((start, EMBEDDING, None))
-    *fields, embedding = take_planes(x, fine, choices)
-    groups, narrow = fields[: FIELDS_AT[level]], fields[FIELDS_AT[level] :]
-    blend, down, importance = (*groups[2:], None, None, None)[:3]
-    return Head(embedding, *groups[:2], blend, down, importance, tuple(zip(narrow[::2], narrow[1::2], strict=True)))
+    for name, planes in fields.items():
+        choices.append((first, planes, MAX_SCALE if name == "scale" else None))
+        first = first + planes
+    own = torch.arange(len(x)) * head_planes(level) + len(GROUPS) * group_planes(level)
+    *taken, embedding = take_planes(x, 2 if level == 0 else 1, [*choices, (own, EMBEDDING, None)])
+    return Head(embedding, **dict(zip(fields, taken, strict=True)))
 
 
 def conv3x3(channels: int) -> nn.Conv2d:
@@ -133,7 +122,6 @@ class QuellNet(nn.Module):
         self.guides = nn.Conv2d(GUIDE_PLANES.stop - GUIDE_PLANES.start, EMBEDDING, 1, bias=False)
         self.filter_table = nn.ParameterList(torch.zeros(len(GROUPS), 1, FILTER_TAPS) for _ in range(LEVELS))
         self.up_table = nn.ParameterList(torch.zeros(len(GROUPS), 4, UP_TAPS) for _ in range(LEVELS - 1))
-        self.narrow_table = nn.Parameter(torch.zeros(len(NARROW_GROUPS), 1, FILTER_TAPS))
         self.detail_in = nn.Conv2d(DETAIL_INPUTS, config.detail, 3, padding=1)
         self.detail_up = nn.Conv2d(w[0], config.detail, 1, bias=False)
         self.detail_mid = conv3x3(config.detail)
@@ -167,7 +155,7 @@ class QuellNet(nn.Module):
             self.guides.weight.data[dimension, plane] = gain
         offset = torch.arange(FILTER_TAPS)
         gauss = -((offset // 5 - 2) ** 2 + (offset % 5 - 2) ** 2) / 8.0
-        for table in (*self.filter_table, self.narrow_table):
+        for table in self.filter_table:
             table.data[:] = gauss
         tent = torch.tensor([[0.25, 0.75, 0.02], [0.02, 0.75, 0.25]])  # of the parents before, at and behind, by parity
         for table in self.up_table:
@@ -212,22 +200,19 @@ class QuellNet(nn.Module):
             passed = F.avg_pool2d(out[-1], 2)
         return out
 
-    def levels(self, heads: list[Head], embeddings: list[Tensor]) -> list[Level]:
-        """The pyramid of the heads' items."""
+    def levels(self, heads: list[Head], embeddings: list[Tensor], items: slice) -> list[Level]:
+        """The pyramid of some of the heads' items."""
         out = []
         for level, (head, embedding) in enumerate(zip(heads, embeddings, strict=True)):
             last = level + 1 == LEVELS
+            names = list(GROUP_FIELDS)[: FIELDS_AT[level]]
             out.append(
                 Level(
                     embedding=embedding,
                     pooled=embedding if last else F.avg_pool2d(embedding, 2),
-                    scale=head.scale,
-                    centre=head.centre,
                     table=self.filter_table[level],
                     up_table=None if last else self.up_table[level],
-                    blend=head.blend,
-                    down=head.down,
-                    importance=head.importance,
+                    **{name: getattr(head, name)[items] for name in names},
                 )
             )
         return out
@@ -235,14 +220,6 @@ class QuellNet(nn.Module):
 
 def importance_weight(logits: Tensor) -> Tensor:
     return torch.sigmoid(logits.clamp(-IMPORTANCE_RANGE, IMPORTANCE_RANGE))
-
-
-def filter_narrow(net: QuellNet, head: Head, embedding: Tensor, values: Tensor, name: str) -> Tensor:
-    """Homogeneous values [n,c,h,w] by the 5x5 kernels of a narrow group."""
-    index = NARROW_GROUPS.index(name)
-    level = Level(embedding, embedding, *head.narrow[index], net.narrow_table)
-    image = torch.arange(len(values))
-    return divide(filter_level(values, level, image, torch.full_like(image, index)))
 
 
 def divide(values: Tensor) -> Tensor:
@@ -262,48 +239,61 @@ def filter_layers(
     n = layers.beauty.shape[0]
     if inside is None:
         inside = torch.ones_like(layers.beauty[:, :1])
-    # Items: Combined of every image, then the light passes that are not black.
+    # Items: Combined of every image, then the light passes and the emission that are not black, then the colours.
     num_direct = n if with_direct or layers.light is None else 0
-    image, group = torch.arange(num_direct), torch.zeros(num_direct, dtype=torch.long)
+    all_images = torch.arange(n)
+    images, groups = [all_images[:num_direct]], [torch.zeros(num_direct, dtype=torch.long)]
     divisor = None if layers.albedo is None else layers.albedo.clamp(0, 1) + ALBEDO_EPSILON
-    beauty = layers.beauty if divisor is None else layers.beauty / divisor
-    values, validity = beauty[:num_direct], inside[:num_direct]
+    if divisor is None:
+        values, validity = [layers.beauty[:num_direct]], [inside[:num_direct]]
+    else:
+        values = [(layers.beauty / divisor)[:num_direct]]
+        validity = [(inside * divisor.mean(1, keepdim=True))[:num_direct]]
+    colors = [] if divisor is None or num_direct == 0 else [divisor]
     if layers.light is not None:
-        scale = layers.color.mean(2, keepdim=True)  # [n,3,1,h,w]
-        valid = torch.cat([scale / (scale + COLOR_EPSILON), torch.ones_like(scale[:, :1])], 1) * inside[:, None]
-        lit = layers.light.flatten(1, 2).flatten(2).any(2).cpu().nonzero()
-        image, group = torch.cat([image, lit[:, 0]]), torch.cat([group, lit[:, 1] + 1])
-        values = torch.cat([values, layers.light.flatten(1, 2)[lit[:, 0], lit[:, 1]]])
-        validity = torch.cat([validity, valid[lit[:, 0], lit[:, 1] // 2]])
-    heads = [take_head(x, level, image.cpu(), group.cpu()) for level, x in enumerate(planes)]
+        # Weighed by its colour, light times colour is the mean of the products where both kernels agree.
+        weights = torch.cat([layers.color.mean(2, keepdim=True), torch.ones_like(inside)[:, None]], 1) * inside[:, None]
+        passes = layers.light.flatten(1, 2)  # [n,8,3,h,w]
+        lit = passes.flatten(2).any(2).cpu().nonzero()
+        glowing = layers.emission.flatten(1).any(1).cpu().nonzero()[:, 0]
+        images += [lit[:, 0], glowing]
+        groups += [lit[:, 1] + 1, torch.full_like(glowing, GROUPS.index("emission"))]
+        values += [passes[lit[:, 0], lit[:, 1]], layers.emission[glowing]]
+        validity += [weights[lit[:, 0], lit[:, 1] // 2], inside[glowing]]
+        colors.append(layers.color.flatten(1, 2))
+    counts = [len(part) for part in images]
+    images.append(all_images)
+    groups.append(torch.full_like(all_images, GROUPS.index("color")))
+    image, group = torch.cat(images), torch.cat(groups)
+    heads = [take_head(x, level, image, group) for level, x in enumerate(planes)]
     embeddings = net.embeddings(detail, heads)
-    levels = net.levels(heads, embeddings)
-    assert levels[0].importance is not None
-    weight = importance_weight(levels[0].importance) * validity
-    filtered = filter_pyramid(torch.cat([values * weight, weight], 1), levels, image, group)
-    direct, filtered = divide(filtered).split([num_direct, len(image) - num_direct])
-    if num_direct == 0:
-        direct = None
-    elif divisor is not None:
-        # Textures pass by the wide kernels: they are put on again from the albedo, as finely filtered as a colour.
-        direct = direct * filter_narrow(net, heads[0], embeddings[0], torch.cat([divisor, inside], 1), "color")
+
+    def run(values: Tensor, validity: Tensor, items: slice) -> Tensor:
+        levels = net.levels(heads, embeddings, items)
+        assert levels[0].importance is not None
+        weight = importance_weight(levels[0].importance) * validity
+        return divide(filter_pyramid(torch.cat([values * weight, weight], 1), levels, image[items], group[items]))
+
+    num = sum(counts)
+    direct, *filtered = run(torch.cat(values), torch.cat(validity), slice(num)).split(counts)
+    if colors:
+        color = run(torch.cat(colors, 1), inside, slice(num, None))
+        if divisor is not None and num_direct > 0:
+            # Textures pass by the light's kernels: they are put on again from the albedo, filtered as a colour.
+            direct, color = direct * color[:, :3], color[:, 3:]
     if layers.light is None:
         return Denoised(direct)
 
-    light = torch.zeros_like(layers.light).flatten(1, 2).index_put((lit[:, 0], lit[:, 1]), filtered)
-    light = light.view_as(layers.light)
+    light = torch.zeros_like(passes).index_put((lit[:, 0], lit[:, 1]), filtered[0]).view_as(layers.light)
+    emission = torch.zeros_like(layers.emission).index_put((glowing,), filtered[1])
     # Light without a colour is "no data", not darkness to be filled from beside: it stays what it was.
-    colored = torch.cat([(layers.color != 0).any(2, keepdim=True), torch.ones_like(scale[:, :1], dtype=torch.bool)], 1)
+    known = (layers.color != 0).any(2, keepdim=True)
+    colored = torch.cat([known, torch.ones_like(known[:, :1])], 1)
     light = torch.where(colored[:, :, None], light, layers.light)
-
-    # What the camera sees directly, colours and emitters, is noisy at edges and under blur alone: narrow kernels.
-    color = torch.cat([layers.color.flatten(1, 2), inside], 1)
-    color = filter_narrow(net, heads[0], embeddings[0], color, "color").view_as(layers.color)
-    emission = torch.cat([layers.emission, inside], 1)
-    emission = filter_narrow(net, heads[0], embeddings[0], emission, "emission")
+    color = color.view_as(layers.color)
     parts = light.sum(2)
     rebuilt = (parts[:, :3] * color).sum(1) + parts[:, 3] + emission
-    return Denoised(direct, rebuilt, light, color, emission)
+    return Denoised(None if num_direct == 0 else direct, rebuilt, light, color, emission)
 
 
 class Quell(nn.Module):
@@ -317,7 +307,7 @@ class Quell(nn.Module):
         return filter_layers(self.net, features, layers, with_direct=with_direct)
 
 
-def multiply_adds(config: QuellConfig, groups: int, narrow_groups: int) -> float:
+def multiply_adds(config: QuellConfig, groups: int) -> float:
     """Multiply-adds of the convolutions per image pixel, when so many groups of layers are filtered."""
     w, per = config.widths, (1 / 4, 1 / 16, 1 / 64, 1 / 256)
     total = NUM_FEATURES * w[0] * 4 * per[0] + w[0] * config.detail * per[0]
@@ -330,9 +320,9 @@ def multiply_adds(config: QuellConfig, groups: int, narrow_groups: int) -> float
         total += config.up_convs[i] * 9 * w[i] ** 2 * per[i]
     head = group_planes(0) * w[0] + sum(group_planes(i + 1) * w[i] * per[i] for i in range(4))
     total += groups * head + EMBEDDING * (w[0] + GUIDE_PLANES.stop - GUIDE_PLANES.start)
-    return total + narrow_groups * NARROW_FIELDS * w[0]
+    return total
 
 
 def multiply_adds_range(config: QuellConfig) -> tuple[float, float]:
     """Of Combined with its albedo, and of all light passes."""
-    return multiply_adds(config, 1, 1), multiply_adds(config, len(GROUPS) - 1, len(NARROW_GROUPS))
+    return multiply_adds(config, 2), multiply_adds(config, len(GROUPS) - 1)
