@@ -14,17 +14,18 @@ from training.native import RelativeError
 MIN_COLOR = 0.005  # light divided by less is all noise, in the target too
 NOISE_FLOOR = 0.004  # error of an input that needs nothing done to it; targets are no cleaner
 EPSILON = 0.01  # of relMSE (docs: error with two references)
-TURN = 6.0  # relative error from which on the loss is linear
+TURN = 2.0  # relative error from which on the loss of a pass is linear
+TURN_COMBINED = 64.0  # of Combined: a bright pixel that stays in the dark is what shows most
+COMBINED_FLOOR = 0.002  # of its error; targets are hardly cleaner
 
 
-def relative_error_reference(image: Tensor, target: Tensor, level: Tensor) -> Tensor:
-    """Pseudo-Huber of the error relative to the level: squared up to TURN, so that noise in the target cancels; linear
+def relative_error_reference(image: Tensor, target: Tensor, level: Tensor, turn: float = TURN) -> Tensor:
+    """Pseudo-Huber of the error relative to the level: squared up to turn, so that noise in the target cancels; linear
     beyond, so that one firefly does not decide a step. The level is what the frame converges to, as nearly as it is
     known: the target's own noise in the denominator would pull the result down, the estimate in it would forgive a
     bright edge that bleeds into the dark. One value a crop."""
     squared = (image - target).square() / (level.square() + EPSILON)
-    turn = TURN * TURN
-    return (turn * (torch.sqrt(1 + squared / turn) - 1)).flatten(1).mean(1)
+    return (squared / (torch.sqrt(1 + squared / turn**2) + 1)).flatten(1).mean(1)
 
 
 def relative_error(image: Tensor, target: Tensor, level: Tensor) -> Tensor:
@@ -34,18 +35,18 @@ def relative_error(image: Tensor, target: Tensor, level: Tensor) -> Tensor:
     return relative_error_reference(image, target, level)
 
 
-def multiscale(image: Tensor, target: Tensor, level: Tensor) -> Tensor:
+def multiscale(image: Tensor, target: Tensor, level: Tensor, turn: float = TURN) -> Tensor:
     """Relative error of pixels and of means over 4x4 and 16x16: the latter hold the residual blotches and the bias."""
     if image.device.type == "cpu":
-        return RelativeError.apply(image, target, level, 3, EPSILON, TURN)
-    return multiscale_reference(image, target, level)
+        return RelativeError.apply(image, target, level, 3, EPSILON, turn)
+    return multiscale_reference(image, target, level, turn)
 
 
-def multiscale_reference(image: Tensor, target: Tensor, level: Tensor) -> Tensor:
-    total = relative_error_reference(image, target, level)
+def multiscale_reference(image: Tensor, target: Tensor, level: Tensor, turn: float = TURN) -> Tensor:
+    total = relative_error_reference(image, target, level, turn)
     for size in (4, 16):
         means = (F.avg_pool2d(x, size) for x in (image, target, level))
-        total = total + 0.5 * relative_error_reference(*means)
+        total = total + 0.5 * relative_error_reference(*means, turn)
     return total
 
 
@@ -72,9 +73,11 @@ def worth(noisy: Tensor, target: Tensor, level: Tensor) -> Tensor:
     return 1 / (relative_error(noisy, target, level) + NOISE_FLOOR)
 
 
-def combined_loss(made: Tensor, target: Tensor, level: Tensor, energy_weight: float) -> Tensor:
-    """Of Combined, by whichever way it was made. One value per crop."""
-    return multiscale(made, target, level) + energy_weight * energy(made, target) + 0.2 * tone_l1(made, target)
+def combined_loss(made: Tensor, target: Tensor, level: Tensor, weight: Tensor, energy_weight: float) -> Tensor:
+    """Of Combined, by whichever way it was made. One value per crop: the logarithm of its error, because what counts is
+    the geometric mean over frames, and means and tones by `worth`."""
+    error = 0.3 * torch.log1p(multiscale(made, target, level, TURN_COMBINED) / COMBINED_FLOOR)
+    return error + weight * (energy_weight * energy(made, target) + 0.2 * tone_l1(made, target))
 
 
 def quell_loss(out: Denoised, noisy: Layers, target: Layers, level: Layers, energy_weight: float = 0.4) -> Tensor:
@@ -83,7 +86,7 @@ def quell_loss(out: Denoised, noisy: Layers, target: Layers, level: Layers, ener
     total = noisy.beauty.new_zeros(())
     for made in (out.direct, out.rebuilt):
         if made is not None:
-            total = total + (weight * combined_loss(made, target.beauty, level.beauty, energy_weight)).mean()
+            total = total + combined_loss(made, target.beauty, level.beauty, weight, energy_weight).mean()
     if out.light is None:
         return total
     for i in range(4):

@@ -24,7 +24,7 @@ static float *floats(long num)
  * written, of the sum. */
 static double relative_plane(const plane *p, float epsilon, float turn)
 {
-    const float square = turn * turn, inverse = 1.0f / square;
+    const float inverse = 1.0f / (turn * turn);
     double total = 0.0;
     for (long y = 0; y < p->height; ++y) {
         const float *const image = p->image + y * p->width, *const target = p->target + y * p->width;
@@ -34,7 +34,7 @@ static double relative_plane(const plane *p, float epsilon, float turn)
         for (long x = 0; x < p->width; ++x) {
             const float error = image[x] - target[x], weight = 1.0f / (level[x] * level[x] + epsilon);
             const float root = sqrtf(1.0f + error * error * weight * inverse);
-            sum += square * (root - 1.0f);
+            sum += error * error * weight / (root + 1.0f); /* as above, without cancellation */
             if (grad) grad[x] = error * weight / root;
         }
         total += sum;
