@@ -23,7 +23,10 @@ DETAIL_PLANES = (
 )  # direct diffuse light, emission: with the guides and the mean of beauty, what it looks closely at
 BIN = 8  # pixels along the edge of a bin of the log average: one firefly spoils one bin
 KEY_EXPONENT = 2  # the log average is brought to 2^-2, near middle grey
-FIREFLY_FACTOR = 16.0
+FIREFLY_FACTOR = 0.8125  # times the root of the samples: see firefly_factor
+MIN_FIREFLY_FACTOR, MAX_FIREFLY_FACTOR = 1.625, 16.0
+UNKNOWN_FIREFLY_FACTOR = 4.0  # where the number of samples is not known
+MIN_NEIGHBOURS = 8  # without as many nothing is a firefly
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,15 @@ def squash(color: Tensor) -> Tensor:
     return 2 * color / (1 + color)
 
 
-def limit_fireflies(image: Tensor, emitter: Tensor | None = None) -> Tensor:
-    """Scales single pixels brighter than FIREFLY_FACTOR times their brightest of 24 neighbours down to that bound.
+def firefly_factor(spp: Tensor) -> Tensor:
+    """How many times brighter than its brightest neighbour a single pixel may be, by samples per pixel (0: unknown). A
+    stray sample weighs less the more there are, and a glint that many samples agree on is none."""
+    known = (FIREFLY_FACTOR * torch.sqrt(spp)).clamp(MIN_FIREFLY_FACTOR, MAX_FIREFLY_FACTOR)
+    return torch.where(spp > 0, known, torch.full_like(known, UNKNOWN_FIREFLY_FACTOR))
+
+
+def limit_fireflies(image: Tensor, factor: Tensor, emitter: Tensor | None = None) -> Tensor:
+    """Scales single pixels brighter than `factor` [n] times their brightest of 24 neighbours down to that bound.
 
     emitter [n,1,h,w]: radiance that is known to be emitted towards the camera, which is no noise and raises the bound.
     """
@@ -92,7 +102,11 @@ def limit_fireflies(image: Tensor, emitter: Tensor | None = None) -> Tensor:
         for dx in range(5):
             if (dy, dx) != (2, 2):
                 bound = torch.maximum(bound, rows[..., dy : dy + height, dx : dx + width])
-    bound = FIREFLY_FACTOR * bound
+    bound = factor.view(-1, 1, 1, 1) * bound
+    # Too few neighbours to compare with: tiny images.
+    across, down = (torch.arange(size, device=image.device) for size in (width, height))
+    around = [(x.clamp_max(2) + 1 + (x.numel() - 1 - x).clamp_max(2)) for x in (down, across)]
+    bound = torch.where(around[0][:, None] * around[1] > MIN_NEIGHBOURS, bound, torch.full_like(bound, torch.inf))
     if emitter is not None:
         bound = torch.maximum(bound, 2 * emitter)
     # Without any light around there is nothing to compare with.

@@ -43,7 +43,7 @@ def denoise_frame(model: Quell, layers: Layers, guides: Guides, spp: int) -> Den
     height, width = layers.beauty.shape[-2:]
     h, w = -(-height // ALIGNMENT) * ALIGNMENT, -(-width // ALIGNMENT) * ALIGNMENT
     span = layers.beauty.min(), layers.beauty.max()
-    layers = limit_layers(layers)
+    layers = limit_layers(layers, torch.tensor([float(spp)]))
     features = frame_features(layers, guides, spp)
     planes = pad_planes(features.planes, h, w)
     inside = pad_planes(torch.ones_like(layers.beauty[:, :1]), h, w)

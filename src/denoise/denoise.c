@@ -78,18 +78,22 @@ static quell_status scan_set(work *w, uint32_t set_index, ql_error *err)
                       (set->has_light && ql_role_group(layer->role) == QL_GROUP_COLOR));
         if (!wanted || layer->pixels.data == NULL || set->beauty == QL_PLAN_NONE) continue;
         uint32_t flags = 0;
+        float factor = 0.0f;
         if (is_radiance(layer->role) || layer->role == QUELL_ROLE_NOISY_IMAGE ||
             layer->role == QUELL_ROLE_NOISY_SHADOW_CATCHER)
-            flags |= QL_SCAN_LIMIT;
+            factor = ql_firefly_factor(set->samples);
         /* What the camera sees of emitters and sky is no firefly. */
-        if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) flags = 0;
+        if (layer->role == QUELL_ROLE_EMISSION || layer->role == QUELL_ROLE_ENVIRONMENT) factor = 0.0f;
         if ((int32_t)i == set->beauty || is_filtered(&w->plan, i)) flags |= QL_SCAN_BINS;
         if ((int32_t)i == depth) flags |= QL_SCAN_BINS | QL_SCAN_DEPTH;
         /* Fireflies are the generator's business, and each layer has an exposure of its own. */
-        if (w->dgan) flags = (flags & ~(uint32_t)QL_SCAN_LIMIT) | QL_SCAN_BINS;
+        if (w->dgan) {
+            factor = 0.0f;
+            flags |= QL_SCAN_BINS;
+        }
         const int by_emission = set->has_light && emission != QL_PLAN_NONE && (int32_t)i == set->beauty;
         QL_TRY(ql_scan_layer(w->env, layer, by_emission ? &w->frame->layers[emission] : NULL, num_colors(layer),
-                             w->frame->width, w->frame->height, flags, &w->scans[i], err));
+                             w->frame->width, w->frame->height, flags, factor, &w->scans[i], err));
     }
     return QUELL_OK;
 }

@@ -124,7 +124,7 @@ quell_status ql_auxiliary_create(ql_auxiliary *auxiliary, ql_env *env, const ql_
     if (auxiliary->pass[DEPTH]) {
         ql_scan scan;
         QL_TRY(ql_scan_layer(env, auxiliary->pass[DEPTH], NULL, 1, frame->width, frame->height,
-                             QL_SCAN_BINS | QL_SCAN_DEPTH, &scan, err));
+                             QL_SCAN_BINS | QL_SCAN_DEPTH, 0.0f, &scan, err));
         auxiliary->scale.depth_exponent = ql_log_exponent(scan.bins, scan.num_bins);
         ql_scan_free(&scan, env->memory);
     }

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { BAND = 8, REACH = 2, MAX_COLORS = 4 };
+enum { BAND = 8, REACH = 2, MIN_NEIGHBOURS = 8 /* fewer say nothing: tiny images */, MAX_COLORS = 4 };
 
 typedef struct band {
     ql_fix *fixes;
@@ -23,6 +23,7 @@ typedef struct band {
 typedef struct scan_job {
     const ql_layer *layer, *emission;
     uint32_t num_colors, width, height, flags, bins_across;
+    float firefly_factor;
     float *scratch; /* per worker: BAND + 2 REACH rows of luminance, MAX_COLORS rows, emission row */
     size_t scratch_floats;
     band *bands;
@@ -91,25 +92,41 @@ static float brightest_neighbour(const float *center, size_t stride, uint32_t x,
     return bound;
 }
 
+float ql_firefly_factor(uint32_t samples)
+{
+    if (samples == 0) return QL_UNKNOWN_FIREFLY_FACTOR;
+    const float factor = QL_FIREFLY_FACTOR * sqrtf((float)samples);
+    if (factor < QL_MIN_FIREFLY_FACTOR) return QL_MIN_FIREFLY_FACTOR;
+    return factor < QL_MAX_FIREFLY_FACTOR ? factor : QL_MAX_FIREFLY_FACTOR;
+}
+
+/* How many pixels of a line of `size` lie within REACH of x, itself included. */
+static uint32_t num_within_reach(uint32_t x, uint32_t size)
+{
+    const uint32_t before = x < REACH ? x : REACH, after = size - 1 - x < REACH ? size - 1 - x : REACH;
+    return before + 1 + after;
+}
+
 /* Whether one of the four nearest neighbours already shows that a pixel is no firefly: true of nearly all. */
-static int has_peer(const float *center, size_t stride, uint32_t x, uint32_t width)
+static int has_peer(const float *center, size_t stride, uint32_t x, uint32_t width, float factor)
 {
     const float here = center[x];
-    return (x > 0 && QL_FIREFLY_FACTOR * center[x - 1] >= here) ||
-           (x + 1 < width && QL_FIREFLY_FACTOR * center[x + 1] >= here) ||
-           QL_FIREFLY_FACTOR * (center - stride)[x] >= here || QL_FIREFLY_FACTOR * (center + stride)[x] >= here;
+    return (x > 0 && factor * center[x - 1] >= here) || (x + 1 < width && factor * center[x + 1] >= here) ||
+           factor * (center - stride)[x] >= here || factor * (center + stride)[x] >= here;
 }
 
 static void find_fixes(const scan_job *job, uint32_t y, const float *luminance, size_t stride, const float *emitted,
                        band *b)
 {
+    const float factor = job->firefly_factor;
     for (uint32_t x = 0; x < job->width; ++x) {
         const float here = luminance[x];
         if (here == -INFINITY) {
             add_fix(b, x, y, 0.0f);
             ++b->num_bad;
-        } else if ((job->flags & QL_SCAN_LIMIT) && here > 0.0f && !has_peer(luminance, stride, x, job->width)) {
-            float bound = QL_FIREFLY_FACTOR * brightest_neighbour(luminance, stride, x, job->width);
+        } else if (factor > 0.0f && here > 0.0f && !has_peer(luminance, stride, x, job->width, factor) &&
+                   num_within_reach(x, job->width) * num_within_reach(y, job->height) > MIN_NEIGHBOURS) {
+            float bound = factor * brightest_neighbour(luminance, stride, x, job->width);
             if (emitted && 2.0f * emitted[x] > bound) bound = 2.0f * emitted[x];
             if (here > bound && bound > 0.0f) {
                 add_fix(b, x, y, bound / here);
@@ -150,7 +167,7 @@ static void scan_task(void *user, uint32_t task, uint32_t worker)
     b->is_zero = b->is_constant = b->is_constant_alpha = 1;
     b->lowest = INFINITY;
     b->highest = -INFINITY;
-    const int around = (job->flags & QL_SCAN_LIMIT) != 0;
+    const int around = job->firefly_factor > 0.0f;
     for (int64_t y = (int64_t)y0 - REACH; y < (int64_t)y1 + REACH; ++y) {
         float *const row = luminance + (size_t)(y - ((int64_t)y0 - REACH)) * stride;
         const int own = y >= y0 && y < y1;
@@ -215,7 +232,8 @@ static quell_status join(const scan_job *job, uint32_t num_bands, ql_memory *mem
 }
 
 quell_status ql_scan_layer(ql_env *env, const ql_layer *layer, const ql_layer *emission, uint32_t num_colors,
-                           uint32_t width, uint32_t height, uint32_t flags, ql_scan *scan, ql_error *err)
+                           uint32_t width, uint32_t height, uint32_t flags, float firefly_factor, ql_scan *scan,
+                           ql_error *err)
 {
     const uint32_t num_bands = (height + BAND - 1) / BAND;
     scan_job job = {
@@ -225,6 +243,7 @@ quell_status ql_scan_layer(ql_env *env, const ql_layer *layer, const ql_layer *e
         .width = width,
         .height = height,
         .flags = flags,
+        .firefly_factor = firefly_factor,
         .bins_across = (width + BAND - 1) / BAND,
         .scratch_floats = (BAND + 2 * REACH + 1 + MAX_COLORS) * (size_t)width,
     };

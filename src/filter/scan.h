@@ -6,8 +6,14 @@
 #include "base/pool.h"
 #include "frame/frame.h"
 
-/* training/features.py: FIREFLY_FACTOR */
-#define QL_FIREFLY_FACTOR 16.0f
+/* How many times brighter than its brightest neighbour a single pixel may be, by samples per pixel (0: unknown).
+ * training/features.py: firefly_factor, and why */
+#define QL_FIREFLY_FACTOR 0.8125f
+#define QL_MIN_FIREFLY_FACTOR 1.625f
+#define QL_MAX_FIREFLY_FACTOR 16.0f
+#define QL_UNKNOWN_FIREFLY_FACTOR 4.0f
+float ql_firefly_factor(uint32_t samples);
+
 #define QL_ABSURD 1e30f /* larger values are bad pixels: their squares overflow */
 
 typedef struct ql_fix {
@@ -29,15 +35,16 @@ typedef struct ql_scan {
 } ql_scan;
 
 enum {
-    QL_SCAN_LIMIT = 1, /* look for fireflies */
-    QL_SCAN_BINS = 2,  /* fill bins */
-    QL_SCAN_DEPTH = 4  /* the layer is a depth: background counts as 0 in the bins */
+    QL_SCAN_BINS = 1, /* fill bins */
+    QL_SCAN_DEPTH = 2 /* the layer is a depth: background counts as 0 in the bins */
 };
 
 /* emission: NULL, or a layer whose radiance is known to be emitted towards the camera and so is no firefly. num_colors:
- * how many channels are colour (alpha is none). Pixels of the layer must be decoded. */
+ * how many channels are colour (alpha is none). firefly_factor: of ql_firefly_factor, 0 where none is looked for. Pixels of
+ * the layer must be decoded. */
 quell_status ql_scan_layer(ql_env *env, const ql_layer *layer, const ql_layer *emission, uint32_t num_colors,
-                           uint32_t width, uint32_t height, uint32_t flags, ql_scan *scan, ql_error *err);
+                           uint32_t width, uint32_t height, uint32_t flags, float firefly_factor, ql_scan *scan,
+                           ql_error *err);
 void ql_scan_free(ql_scan *scan, ql_memory *memory);
 
 /* Reads one row of the colour channels with the fixes applied; valid, if not NULL, receives 0 or 1 per pixel. */

@@ -22,6 +22,9 @@ SHARED = [
     ("QL_NUM_FLAGS", "models/features.h", features.NUM_FLAGS),
     ("QL_KEY_EXPONENT", "models/features.h", features.KEY_EXPONENT),
     ("QL_FIREFLY_FACTOR", "filter/scan.h", features.FIREFLY_FACTOR),
+    ("QL_MIN_FIREFLY_FACTOR", "filter/scan.h", features.MIN_FIREFLY_FACTOR),
+    ("QL_MAX_FIREFLY_FACTOR", "filter/scan.h", features.MAX_FIREFLY_FACTOR),
+    ("QL_UNKNOWN_FIREFLY_FACTOR", "filter/scan.h", features.UNKNOWN_FIREFLY_FACTOR),
     ("QL_BACKGROUND_DEPTH", "frame/roles.h", store.BACKGROUND_DEPTH),
     ("QL_FILTER_TAPS", "models/quell_net.h", pyramid.FILTER_TAPS),
     ("QL_UP_TAPS", "models/quell_net.h", pyramid.UP_TAPS),
@@ -39,6 +42,7 @@ SHARED = [
 PRIVATE = [
     ("src/filter/scan.c", r"BAND = (\d+)", features.BIN),
     ("src/filter/scan.c", r"REACH = (\d+)", 2),  # limit_fireflies: 24 neighbours
+    ("src/filter/scan.c", r"MIN_NEIGHBOURS = (\d+)", features.MIN_NEIGHBOURS),
 ]
 
 

@@ -80,7 +80,8 @@ static void measure(fixture *f, uint32_t width, uint32_t height, uint32_t num_th
     f->layer = (ql_layer){.full_name = (char *)"layer", .role = QUELL_ROLE_COMBINED, .num_channels = 3};
     f->layer.pixels = (ql_view){(uint8_t *)f->pixels, QUELL_FORMAT_FLOAT, 3, 4, 12, 12 * (int64_t)width};
     assert_int_equal(
-        ql_scan_layer(&f->env, &f->layer, NULL, 3, width, height, QL_SCAN_BINS | QL_SCAN_LIMIT, &f->scan, &err),
+        ql_scan_layer(&f->env, &f->layer, NULL, 3, width, height, QL_SCAN_BINS,
+                      ql_firefly_factor(4), &f->scan, &err),
         QUELL_OK);
     assert_int_equal(ql_noise_measure(&f->env, &f->layer, &f->scan, 3, width, height, &f->noise, &err), QUELL_OK);
 }

@@ -23,7 +23,7 @@ from training.data.pack import (
     sum_parts,
     to_target,
 )
-from training.features import Features, Guides, Layers, limit_fireflies, log_exponent, make_features
+from training.features import Features, Guides, Layers, firefly_factor, limit_fireflies, log_exponent, make_features
 
 
 @dataclass(frozen=True)
@@ -173,13 +173,14 @@ def target_layers(t: Tensor) -> Layers:
     )
 
 
-def limit_layers(layers: Layers) -> Layers:
+def limit_layers(layers: Layers, spp: Tensor) -> Layers:
     """Fireflies are limited layer by layer before anything else sees them."""
+    factor = firefly_factor(spp)
     if layers.light is None:
-        return Layers(limit_fireflies(layers.beauty))
+        return Layers(limit_fireflies(layers.beauty, factor))
     emitter = layers.emission.mean(1, keepdim=True)
-    light = limit_fireflies(layers.light.flatten(0, 2)).view_as(layers.light)
-    return Layers(limit_fireflies(layers.beauty, emitter), light, layers.color, layers.emission)
+    light = limit_fireflies(layers.light.flatten(0, 2), factor.repeat_interleave(8)).view_as(layers.light)
+    return Layers(limit_fireflies(layers.beauty, factor, emitter), light, layers.color, layers.emission)
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ def draw_batch(frames: list[PackedFrame], index: int, config: CropConfig) -> Raw
 def finish_batch(raw: RawBatch) -> Batch:
     """The features of a batch, on the device that its crops are on."""
     x = raw.inputs
-    layers = limit_layers(to_layers(x, raw.has_light))
+    layers = limit_layers(to_layers(x, raw.has_light), raw.known)
     guides = to_guides(x)
     for name, dropped in zip(("albedo", "normal", "depth"), raw.dropped, strict=True):
         if dropped:

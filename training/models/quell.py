@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.features import DETAIL_PLANES, GUIDE_PLANES, NUM_FEATURES, NUM_FLAGS, Features, Layers
-from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_level, filter_pyramid, take_planes
+from training.models.pyramid import FILTER_TAPS, MAX_SCALE, UP_TAPS, Level, filter_pyramid, take_planes
 
 LIGHTS = ("diffuse", "glossy", "transmission", "volume")
 PARTS = ("direct", "indirect")
@@ -255,7 +255,7 @@ def filter_layers(
         weights = torch.cat([layers.color.mean(2, keepdim=True), torch.ones_like(inside)[:, None]], 1) * inside[:, None]
         passes = layers.light.flatten(1, 2)  # [n,8,3,h,w]
         lit = passes.flatten(2).any(2).cpu().nonzero()
-        glowing = layers.emission.flatten(1).any(1).cpu().nonzero()[:, 0]
+        glowing = layers.emission.flatten(1).any(1, keepdim=True).cpu().nonzero()[:, 0]
         images += [lit[:, 0], glowing]
         groups += [lit[:, 1] + 1, torch.full_like(glowing, GROUPS.index("emission"))]
         values += [passes[lit[:, 0], lit[:, 1]], layers.emission[glowing]]
