@@ -15,7 +15,7 @@ SAMPLES = sorted(p.name for p in (ROOT / "samples").iterdir() if (p / f"{p.name}
 SPP = (4, 16)
 
 #: What quell-balanced reaches (docs/quality.md), less a margin for other instruction sets' rounding.
-REACHED_MEAN, REACHED_WORST = 12.3, 3.75
+REACHED_MEAN, REACHED_WORST = 13.6, 3.75
 REACHED_DRIFT, REACHED_DRIFT_SPARSE = 0.023, 0.055  # the second for passes that are black nearly everywhere
 #: What the loss of docs/decisions/0009 costs: fog at 4 spp, bulbs a pixel wide, light through a few bottles.
 KNOWN_DRIFT = {("misty_hall", "Volume Direct"): 0.052, ("night_bar", "Emit"): 0.035, ("night_bar", "TransDir"): 0.065}
@@ -114,7 +114,7 @@ def test_each_level_is_nearer_to_the_truth_than_the_one_below(quell, exr_reader,
     assert means == sorted(means), dict(zip(levels, means, strict=True))
 
 
-@pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.9-fold: docs/quality.md")
+@pytest.mark.xfail(reason="house, nearly clean to begin with, is at 3.8-fold: docs/quality.md")
 def test_combined_at_4_spp_on_each(results):
     gains = gains_at(results, 4)
     assert geometric_mean(gains) >= 8, gains
