@@ -2,6 +2,7 @@
 /* A task is one row of the image. */
 #include "denoise/recombine.h"
 
+#include <math.h>
 #include <string.h>
 
 enum {
@@ -67,6 +68,8 @@ static void recombine_task(void *user, uint32_t task, uint32_t worker)
             const float *const part = part_row(r, added[i], c, y, spare);
             for (size_t x = x0; part && x < x1; ++x) sum[x] += part[x];
         }
+        /* Light times colour may be more than a float holds, though each is valid. */
+        for (size_t x = x0; x < x1; ++x) sum[x] = fminf(fmaxf(sum[x], -QL_ABSURD), QL_ABSURD);
     }
 }
 

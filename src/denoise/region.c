@@ -295,12 +295,15 @@ static float mean_color(float *const *rows, uint32_t x)
     return sum > 0.0f ? sum / (float)MAX_COLORS : 0.0f;
 }
 
-/* weight[x] *= the mean colour that the light was divided by: where the kernels of light and colour agree, the product of
- * both means is the mean of the products, which is what Combined holds. */
+/* weight[x] *= the mean colour that the light was divided by, at most 1 so that no product overflows: where the kernels of
+ * light and colour agree, the product of both means is the mean of the products, which is what Combined holds. */
 static void weigh_by_color(const batch *b, uint32_t y, float *const *rows, float *weight, uint32_t num)
 {
     read_color(b, b->region->rx, b->region->rx + num, y, rows);
-    for (uint32_t x = 0; x < num; ++x) weight[x] *= mean_color(rows, b->region->rx + x);
+    for (uint32_t x = 0; x < num; ++x) {
+        const float color = mean_color(rows, b->region->rx + x);
+        weight[x] *= color < 1.0f ? color : 1.0f;
+    }
 }
 
 /* Albedo as radiance is divided by it: never zero; where it is no number, radiance stays as it is. */

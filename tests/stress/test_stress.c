@@ -184,6 +184,10 @@ static void colors_black(stress_frame *f)
 {
     for (uint32_t l = LAYER_FIRST_LIGHT + 2; l < LAYER_VOLUME_DIRECT; l += 3) set_guide(f, l, 0.0f);
 }
+static void colors_large(stress_frame *f)
+{
+    for (uint32_t l = LAYER_FIRST_LIGHT; l < LAYER_VOLUME_DIRECT; ++l) set_guide(f, l, 1e20f);
+}
 static void samples_unknown(stress_frame *f)
 {
     f->samples = 0;
@@ -225,6 +229,7 @@ static const struct {
     {"depth infinite", depth_infinite, 1},
     {"depth of the background", depth_background, 0},
     {"colours black", colors_black, 0},
+    {"light and colours of 1e20", colors_large, 1},
     {"samples unknown", samples_unknown, 1},
     {"samples 2^31", samples_wrong, 1},
 };

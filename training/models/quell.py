@@ -252,7 +252,8 @@ def filter_layers(
     colors = [] if divisor is None or num_direct == 0 else [divisor]
     if layers.light is not None:
         # Weighed by its colour, light times colour is the mean of the products where both kernels agree.
-        weights = torch.cat([layers.color.mean(2, keepdim=True), torch.ones_like(inside)[:, None]], 1) * inside[:, None]
+        scale = layers.color.mean(2, keepdim=True).clamp_max(1)
+        weights = torch.cat([scale, torch.ones_like(inside)[:, None]], 1) * inside[:, None]
         passes = layers.light.flatten(1, 2)  # [n,8,3,h,w]
         lit = passes.flatten(2).any(2).cpu().nonzero()
         glowing = layers.emission.flatten(1).any(1, keepdim=True).cpu().nonzero()[:, 0]
