@@ -116,10 +116,16 @@ static void bf16_conv_row(const ql_bf16_conv_row *conv)
     if (left == 1) conv_columns_1(conv, c);
 }
 
+static __mmask16 first_lanes(size_t num)
+{
+    const uint32_t bits = num < W ? (1u << num) - 1u : 0xffffu;
+    return (__mmask16)bits;
+}
+
 static void bf16_round_row(const float *in, uint16_t *out, uint32_t num)
 {
     for (size_t i = 0; i < num; i += W) {
-        const __mmask16 mask = num - i < W ? (__mmask16)((1u << (num - i)) - 1u) : (__mmask16)0xffffu;
+        const __mmask16 mask = first_lanes(num - i);
         _mm256_mask_storeu_epi16(out + i, mask, rounded(_mm512_maskz_loadu_ps(mask, in + i)));
     }
 }
@@ -127,7 +133,7 @@ static void bf16_round_row(const float *in, uint16_t *out, uint32_t num)
 static void bf16_expand_row(const uint16_t *in, float *out, uint32_t num)
 {
     for (size_t i = 0; i < num; i += W) {
-        const __mmask16 mask = num - i < W ? (__mmask16)((1u << (num - i)) - 1u) : (__mmask16)0xffffu;
+        const __mmask16 mask = first_lanes(num - i);
         _mm512_mask_storeu_ps(out + i, mask, expanded(_mm256_maskz_loadu_epi16(mask, in + i)));
     }
 }
