@@ -28,6 +28,7 @@ class DataConfig:
     spp_weights: tuple[tuple[int, float], ...] = ((1, 0.5), (2, 1.0), (4, 4.0), (8, 1.5), (16, 1.0), (32, 0.5))
     drop_position: float = 0.5  # files seldom have Position
     drop_other: float = 0.1  # normal, the textures, depth: each
+    clean_share: float = 0.0  # of targets, of their denoised mean (training/data/clean.py), where a frame has one
     seed: int = 1
 
 
@@ -105,6 +106,8 @@ def crop(frame: Frame, rng: np.random.Generator, config: DataConfig) -> tuple[np
     inputs = packed.inputs[chosen][window].astype(np.float32)
     spp = packed.spp[chosen]
     target = (packed.sums[window] - spp * to_target(inputs)) / (packed.total_spp - spp)
+    if packed.clean is not None:
+        target += config.clean_share * (packed.level(window) - target)
     return inputs, frame.position[window].astype(np.float32), target
 
 

@@ -192,24 +192,26 @@ class QuellNet(nn.Module):
         x = F.relu(self.detail_mid(x))
         return self.guides(guides).float() + self.detail_out(x).float()
 
-    def embeddings(self, passed: Tensor, heads: list[Head]) -> list[Tensor]:
-        """By level [n,e,h,w]: the share at full resolution, passed down by means of 2x2, plus the heads'."""
+    def embeddings(self, passed: Tensor, heads: list[Head]) -> list[tuple[Tensor, Tensor]]:
+        """By level [n,e,h,w] and its means of 2x2: the share at full resolution, passed down by those means, plus the
+        heads'."""
         out = []
         for head in heads:
-            out.append(passed + head.embedding)
-            passed = F.avg_pool2d(out[-1], 2)
+            embedding = passed + head.embedding
+            passed = F.avg_pool2d(embedding, 2)
+            out.append((embedding, passed))
         return out
 
-    def levels(self, heads: list[Head], embeddings: list[Tensor], items: slice) -> list[Level]:
+    def levels(self, heads: list[Head], embeddings: list[tuple[Tensor, Tensor]], items: slice) -> list[Level]:
         """The pyramid of some of the heads' items."""
         out = []
-        for level, (head, embedding) in enumerate(zip(heads, embeddings, strict=True)):
+        for level, (head, (embedding, pooled)) in enumerate(zip(heads, embeddings, strict=True)):
             last = level + 1 == LEVELS
             names = list(GROUP_FIELDS)[: FIELDS_AT[level]]
             out.append(
                 Level(
                     embedding=embedding,
-                    pooled=embedding if last else F.avg_pool2d(embedding, 2),
+                    pooled=pooled,
                     table=self.filter_table[level],
                     up_table=None if last else self.up_table[level],
                     **{name: getattr(head, name)[items] for name in names},
