@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,16 +19,21 @@ def display() -> Iterator[str]:
     """An X server of our own; it picks its number."""
     if not shutil.which("Xvfb") or not shutil.which("xdotool"):
         pytest.skip("Xvfb or xdotool is not installed")
-    with tempfile.TemporaryFile("w+") as number:
-        options = ["-screen", "0", "1280x800x24", "+extension", "GLX", "-noreset"]
-        command = ["Xvfb", "-displayfd", str(number.fileno()), *options]
-        with subprocess.Popen(command, pass_fds=[number.fileno()], stderr=subprocess.DEVNULL) as server:
-            try:
-                while not (text := (number.seek(0), number.read())[1]).endswith("\n"):
-                    assert server.poll() is None, "Xvfb did not start"
-                yield f":{text.strip()}"
-            finally:
-                server.terminate()
+    # A pipe, not a file: the two sides of a file share its offset, and reading would move the server's writing.
+    reads, writes = os.pipe()
+    options = ["-screen", "0", "1280x800x24", "+extension", "GLX", "-noreset"]
+    command = ["Xvfb", "-displayfd", str(writes), *options]
+    with (
+        open(reads, encoding="ascii") as number,
+        subprocess.Popen(command, pass_fds=[writes], stderr=subprocess.DEVNULL) as server,
+    ):
+        os.close(writes)
+        try:
+            text = number.readline().strip()
+            assert text.isdigit(), "Xvfb did not start"
+            yield f":{text}"
+        finally:
+            server.terminate()
 
 
 @pytest.fixture(scope="module")
