@@ -15,7 +15,10 @@
 #include <unistd.h>
 #if defined(__linux__)
 #include <sched.h>
+#include <sys/mman.h>
 #endif
+
+enum { LARGE_PAGE_BYTES = 1 << 21 };
 
 /* ---- Files ------------------------------------------------------------------------------------------------------- */
 
@@ -167,9 +170,28 @@ uint32_t ql_os_num_cores(void)
     return online > 0 ? (uint32_t)online : 1;
 }
 
+/* Asks for large pages under a large block: each fault then clears 2 MiB instead of 4 KiB. A hint, so errors are none. */
+static void want_large_pages(void *block, size_t num_bytes)
+{
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+    const uintptr_t page = LARGE_PAGE_BYTES, begin = ((uintptr_t)block + page - 1) & ~(page - 1);
+    const uintptr_t end = ((uintptr_t)block + num_bytes) & ~(page - 1);
+    if (begin < end) {
+        const int before = errno;
+        madvise((void *)begin, end - begin, MADV_HUGEPAGE);
+        errno = before;
+    }
+#else
+    (void)block;
+    (void)num_bytes;
+#endif
+}
+
 void *ql_os_alloc_aligned(size_t alignment, size_t num_bytes)
 {
-    return aligned_alloc(alignment, num_bytes);
+    void *const block = aligned_alloc(alignment, num_bytes);
+    if (block) want_large_pages(block, num_bytes);
+    return block;
 }
 
 void ql_os_free_aligned(void *pointer)

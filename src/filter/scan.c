@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { BAND = 8, REACH = 2, MIN_NEIGHBOURS = 8 /* fewer say nothing: tiny images */, MAX_COLORS = 4 };
+enum { BAND = 8, REACH = 2, MIN_NEIGHBOURS = 8 /* fewer say nothing: tiny images */, MAX_COLORS = 4, LANES = 16 };
 
 typedef struct band {
     ql_fix *fixes;
@@ -51,13 +51,11 @@ static void add_fix(band *b, uint32_t x, uint32_t y, float scale)
     b->fixes[b->num_fixes++] = (ql_fix){x, y, scale};
 }
 
-/* Luminance of row y, 0 for bad pixels; -1 marks those. Statistics are taken when own is set. */
-static void read_luminance(const scan_job *job, uint32_t y, float *const *rows, float *luminance, band *own)
+/* Mean of a pixel's colours; -infinity marks a bad one. Returns whether the row has any. */
+static int find_luminance(uint32_t width, uint32_t n, float *const *rows, float *luminance)
 {
-    const uint32_t n = job->num_colors;
-    for (uint32_t c = 0; c < job->layer->num_channels && c < MAX_COLORS; ++c)
-        if (c < n || own) ql_layer_read_row(job->layer, job->width, c, y, rows[c]);
-    for (uint32_t x = 0; x < job->width; ++x) {
+    int any_bad = 0;
+    for (uint32_t x = 0; x < width; ++x) {
         float sum = 0.0f;
         int bad = 0;
         for (uint32_t c = 0; c < n; ++c) {
@@ -65,19 +63,77 @@ static void read_luminance(const scan_job *job, uint32_t y, float *const *rows, 
             sum += rows[c][x];
         }
         luminance[x] = bad ? -INFINITY : sum / (float)n;
-        if (own == NULL) continue;
-        for (uint32_t c = 0; c < n; ++c) {
-            if (rows[c][x] != 0.0f) own->is_zero = 0;
-            if (!(rows[c][x] == job->first[c])) own->is_constant = 0;
-            if (bad) continue;
-            own->sum += (double)rows[c][x];
-            own->lowest = rows[c][x] < own->lowest ? rows[c][x] : own->lowest;
-            own->highest = rows[c][x] > own->highest ? rows[c][x] : own->highest;
-        }
-        if (!bad) own->num_values += n;
-        for (uint32_t c = n; c < job->layer->num_channels && c < MAX_COLORS; ++c)
-            if (!(rows[c][x] == job->first[c])) own->is_constant_alpha = 0;
+        any_bad |= bad;
     }
+    return any_bad;
+}
+
+/* Statistics of one channel's row, all of it finite: lanes side by side, for the compiler to put into vectors. */
+static void gather_row(const float *row, uint32_t width, float first, band *b)
+{
+    double sum[LANES] = {0};
+    float lowest[LANES], highest[LANES];
+    uint32_t nonzero[LANES] = {0}, different[LANES] = {0};
+    for (uint32_t i = 0; i < LANES; ++i) lowest[i] = highest[i] = row[0];
+    uint32_t x = 0;
+    for (; x + LANES <= width; x += LANES)
+        for (uint32_t i = 0; i < LANES; ++i) {
+            const float value = row[x + i];
+            sum[i] += (double)value;
+            lowest[i] = value < lowest[i] ? value : lowest[i];
+            highest[i] = value > highest[i] ? value : highest[i];
+            nonzero[i] |= value != 0.0f;
+            different[i] |= value != first;
+        }
+    for (uint32_t i = 0; x < width; ++x, ++i) {
+        const float value = row[x];
+        sum[i] += (double)value;
+        lowest[i] = value < lowest[i] ? value : lowest[i];
+        highest[i] = value > highest[i] ? value : highest[i];
+        nonzero[i] |= value != 0.0f;
+        different[i] |= value != first;
+    }
+    for (uint32_t i = 0; i < LANES; ++i) {
+        b->sum += sum[i];
+        b->lowest = lowest[i] < b->lowest ? lowest[i] : b->lowest;
+        b->highest = highest[i] > b->highest ? highest[i] : b->highest;
+        if (nonzero[i]) b->is_zero = 0;
+        if (different[i]) b->is_constant = 0;
+    }
+    b->num_values += width;
+}
+
+/* The same of a row that has bad pixels, which are left out. */
+static void gather_good(const scan_job *job, float *const *rows, const float *luminance, band *b)
+{
+    for (uint32_t c = 0; c < job->num_colors; ++c)
+        for (uint32_t x = 0; x < job->width; ++x) {
+            const float value = rows[c][x];
+            if (value != 0.0f) b->is_zero = 0;
+            if (!(value == job->first[c])) b->is_constant = 0;
+            if (luminance[x] == -INFINITY) continue;
+            b->sum += (double)value;
+            b->lowest = value < b->lowest ? value : b->lowest;
+            b->highest = value > b->highest ? value : b->highest;
+            ++b->num_values;
+        }
+}
+
+/* Luminance of row y, as find_luminance says. Statistics are taken when own is set. */
+static void read_luminance(const scan_job *job, uint32_t y, float *const *rows, float *luminance, band *own)
+{
+    const uint32_t n = job->num_colors;
+    for (uint32_t c = 0; c < job->layer->num_channels && c < MAX_COLORS; ++c)
+        if (c < n || own) ql_layer_read_row(job->layer, job->width, c, y, rows[c]);
+    const int any_bad = find_luminance(job->width, n, rows, luminance);
+    if (own == NULL) return;
+    if (any_bad)
+        gather_good(job, rows, luminance, own);
+    else
+        for (uint32_t c = 0; c < n; ++c) gather_row(rows[c], job->width, job->first[c], own);
+    for (uint32_t c = n; c < job->layer->num_channels && c < MAX_COLORS; ++c)
+        for (uint32_t x = 0; x < job->width; ++x)
+            if (!(rows[c][x] == job->first[c])) own->is_constant_alpha = 0;
 }
 
 static float brightest_neighbour(const float *center, size_t stride, uint32_t x, uint32_t width)
