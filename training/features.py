@@ -26,6 +26,7 @@ KEY_EXPONENT = 2  # the log average is brought to 2^-2, near middle grey
 FIREFLY_FACTOR = 0.8125  # times the root of the samples: see firefly_factor
 MIN_FIREFLY_FACTOR, MAX_FIREFLY_FACTOR = 1.625, 16.0
 UNKNOWN_FIREFLY_FACTOR = 4.0  # where the number of samples is not known
+FIREFLY_REACH = 2  # pixels that a firefly is compared with, to each side
 MIN_NEIGHBOURS = 8  # without as many nothing is a firefly
 
 
@@ -95,17 +96,18 @@ def limit_fireflies(image: Tensor, factor: Tensor, emitter: Tensor | None = None
     emitter [n,1,h,w]: radiance that is known to be emitted towards the camera, which is no noise and raises the bound.
     """
     luminance = image.mean(1, keepdim=True)
-    rows = torch.nn.functional.pad(luminance, (2, 2, 2, 2))
+    reach = FIREFLY_REACH
+    rows = torch.nn.functional.pad(luminance, (reach, reach, reach, reach))
     height, width = luminance.shape[-2:]
     bound = torch.zeros_like(luminance)
-    for dy in range(5):
-        for dx in range(5):
-            if (dy, dx) != (2, 2):
+    for dy in range(2 * reach + 1):
+        for dx in range(2 * reach + 1):
+            if (dy, dx) != (reach, reach):
                 bound = torch.maximum(bound, rows[..., dy : dy + height, dx : dx + width])
     bound = factor.view(-1, 1, 1, 1) * bound
     # Too few neighbours to compare with: tiny images.
     across, down = (torch.arange(size, device=image.device) for size in (width, height))
-    around = [(x.clamp_max(2) + 1 + (x.numel() - 1 - x).clamp_max(2)) for x in (down, across)]
+    around = [(x.clamp_max(reach) + 1 + (x.numel() - 1 - x).clamp_max(reach)) for x in (down, across)]
     bound = torch.where(around[0][:, None] * around[1] > MIN_NEIGHBOURS, bound, torch.full_like(bound, torch.inf))
     if emitter is not None:
         bound = torch.maximum(bound, 2 * emitter)
